@@ -35,15 +35,15 @@ from torch import nn
 
 from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
+from otr.control.sac.actors import ModuleActors
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.sac import FleetSac, Minibatch, Shapes
+from otr.control.sac.stacked_tensors import multiply, new_stack
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
 from pipelines.runs.fleets import fleets
-from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun
-from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
-from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.fleet.trainer import FleetTrainer, Task
 from pipelines.training.progress import TrainingProgress
 from pipelines.training.sb3.actor_kinds import actor_of

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from otr.control.search.polish import polish as polish
     from otr.control.settings import SearchSettings as SearchSettings
     from otr.core.domain import Domain as Domain
+    from otr.core.fixed_point.tree import FixedPointTree as FixedPointTree
     from otr.core.head import Head as Head
     from otr.core.heads import (
         Argmax as Argmax,
@@ -54,6 +55,9 @@ if TYPE_CHECKING:
     )
     from otr.explanation.explain import explain as explain
     from otr.explanation.importance import importance as importance
+    from otr.fixed_point.certificate import FixedPointCertificate as FixedPointCertificate
+    from otr.fixed_point.certify import certify_fixed_point as certify_fixed_point
+    from otr.fixed_point.shortest import shortest_fixed_point as shortest_fixed_point, to_fixed_point as to_fixed_point
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
     from otr.importers import (
         from_onnx as from_onnx,
@@ -62,7 +66,9 @@ if TYPE_CHECKING:
         from_torch as from_torch,
         read_policy as read_policy,
     )
+    from otr.importers.critics import Critics as Critics, read_critics as read_critics
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
+    from otr.programs.c.float_error import FloatErrorBound as FloatErrorBound, float_error as float_error
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json
@@ -97,6 +103,7 @@ _NAMES_OF_MODULES = {
     "control.search.polish": "polish",
     "control.settings": "SearchSettings",
     "core.domain": "Domain",
+    "core.fixed_point.tree": "FixedPointTree",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
     "files.artefacts": "load save",
@@ -109,9 +116,14 @@ _NAMES_OF_MODULES = {
     "ProgramError TimeLimitError TreeTooLargeError",
     "explanation.explain": "explain",
     "explanation.importance": "importance",
+    "fixed_point.certificate": "FixedPointCertificate",
+    "fixed_point.certify": "certify_fixed_point",
+    "fixed_point.shortest": "shortest_fixed_point to_fixed_point",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
+    "importers.critics": "Critics read_critics",
     "importers.input_statistics": "ObservationStatistics",
+    "programs.c.float_error": "FloatErrorBound float_error",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

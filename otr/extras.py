@@ -21,7 +21,6 @@ _EXTRAS = {
     "sklearn": ("scikit-learn", "learn"),
     "torch": ("torch", "learn"),
     "hydra": ("hydra-core", "run"),
-    "sb3_contrib": ("sb3-contrib", "run"),
     "stable_baselines3": ("stable-baselines3", "run"),
 } | {name: (name, "run") for name in ("filelock", "gymnasium", "omegaconf", "pandas", "rich", "safetensors")}
 

@@ -43,26 +43,3 @@ def test_a_public_function_has_examples_that_run(
 
 def test_the_example_of_the_package_runs() -> None:
     assert doctest.testmod(otr).failed == 0
-
-
-def test_a_function_without_examples_or_with_wrong_ones_fails() -> None:
-    def without() -> None:
-        """Return nothing."""
-
-    def skipped() -> None:
-        """Return nothing.
-
-        Examples:
-            >>> otr.load("policy")  # doctest: +SKIP
-        """
-
-    def wrong() -> None:
-        """Return nothing.
-
-        Examples:
-            >>> otr.ClipBox(-1, 1)
-            ClipBox(low=-1.0, high=2.0)
-        """
-
-    assert what_is_wrong(without) == what_is_wrong(skipped) == "it has no section Examples with lines that run"
-    assert "Expected:\n    ClipBox(low=-1.0, high=2.0)\nGot:\n    ClipBox(low=-1.0, high=1.0)" in what_is_wrong(wrong)

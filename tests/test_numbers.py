@@ -45,13 +45,6 @@ def is_rounded(told: str, number: float) -> bool:
     return abs(float(told.replace(",", "")) - number) <= 0.5 * 10**-decimals + 1e-9
 
 
-def test_rounding_is_told_from_another_number():
-    assert is_rounded("9,357", 9357.46)
-    assert not is_rounded("9,358", 9357.46)
-    assert is_rounded(".867", 0.8671)
-    assert not is_rounded("-4.1", -4.04)
-
-
 @pytest.mark.parametrize(
     "page",
     [

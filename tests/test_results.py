@@ -12,7 +12,7 @@ from pipelines.cli.runs import RUN, load_config
 from pipelines.config.methods import METHODS
 from pipelines.engine.archive import MANIFEST, opened, verified_manifest
 from pipelines.engine.job import is_done
-from pipelines.engine.store import exists, read_csv
+from pipelines.engine.store import ARCHIVE, exists, read_csv, read_summary
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
 from pipelines.runs.derived import opened_run
@@ -22,7 +22,9 @@ from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_succeeds
 
 SUMMARIES = sorted((RESULTS / "runs").glob("*/*/depth-*/**/summary.json"))
-FITS = sorted((RESULTS / "runs").glob("*/*/seed-*/summary.json"))
+FITS = sorted(
+    path.parent for where in ("seed-*", "split-*/seed-*") for path in RESULTS.glob(f"runs/*/*/{where}/{ARCHIVE}")
+)
 
 
 def id_of(run_dir):
@@ -89,14 +91,13 @@ def test_what_archives_leave_out_is_made_again_byte_for_byte(run_dir):
             verified_manifest(whole / stage)
 
 
-def test_committed_fits_are_whole_and_tell_what_they_were_made_with():
-    for summary in FITS:
+def test_committed_fits_are_whole_and_name_their_revision():
+    for fit in FITS:
         for stage in ("tune", "score"):
-            if stage == "score" or exists(summary.parent / stage / MANIFEST):
-                assert "+" not in verified_manifest(summary.parent / stage)["git_revision"]
-        scores = read_csv(summary.parent / "score" / "scores.csv")
-        told = [float(row["test"]) for row in scores if row["test"]]
-        assert json.loads(summary.read_text())["test"] == pytest.approx(sum(told) / len(told), abs=1e-7)
+            if stage == "score" or exists(fit / stage / MANIFEST):
+                assert "+" not in verified_manifest(fit / stage)["git_revision"]
+        scores = [float(row["test"]) for row in read_csv(fit / "score" / "scores.csv") if row["test"]]
+        assert read_summary(fit)["test"] == pytest.approx(sum(scores) / len(scores), abs=1e-7)
 
 
 def test_committed_runs_have_learnt():
@@ -140,6 +141,6 @@ def test_what_is_committed_was_made_by_the_commands_of_the_page_and_its_runs_are
         made |= {job.folder for job in jobs}
         if workflow is RUN:  # what is left of the fits the tables call not run
             left += [job.folder for job in jobs if not is_done(job)]
-    summaries = (RESULTS / "runs").glob("**/summary.json")
-    assert {path.parent.relative_to(RESULTS).as_posix() for path in summaries} - made == set()
+    finished = {path.parent for path in SUMMARIES} | {*FITS}
+    assert {folder.relative_to(RESULTS).as_posix() for folder in finished} - made == set()
     assert left == []

@@ -217,6 +217,11 @@ def _of_one(env: gym.Env[Any, Any]) -> tuple[Make, bool]:
     )
 
 
+def limited(make: Make, max_steps: int | None) -> Make:
+    """Return a maker of environments that truncate episodes after `max_steps`, where that is given."""
+    return make if max_steps is None else lambda: gym.wrappers.TimeLimit(make(), max_steps)
+
+
 def require_limit(env: gym.Env[Any, Any], max_steps: int | None) -> None:
     """Raise ValueError where an episode may never end: the environment has no time limit, and none is given."""
     if max_steps is not None or (env.spec is not None and env.spec.max_episode_steps is not None):

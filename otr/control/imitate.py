@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -16,12 +17,12 @@ import numpy as np
 from otr import control
 from otr.control.dagger.loop import DaggerProgress, DaggerResult, Play, TreeFit, run_dagger
 from otr.control.rollout import Rollout, rollout
-from otr.control.search.policy_numbers import Policy as Numbered
 from otr.control.search.polish import PolishReport
 from otr.control.search.polish import polish as search_numbers
 from otr.control.settings import (
     AugTreeSettings,
     CartSettings,
+    CriticPolishSettings,
     DaggerSettings,
     ExpertsSettings,
     FitSettings,
@@ -35,6 +36,8 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
+from otr.importers.critics import Critics
+from otr.setting import check_settings
 
 _SEEDS = (2**24, 2**31)  # of the episodes; those below are for reports and `rollout`
 _EPISODES = ("oracle", "dagger", "selection")
@@ -60,7 +63,7 @@ def imitate(
     n_episodes: int = 10,
     n_choice_episodes: int = 50,
     max_steps: int | None = None,
-    polish: bool | Mapping[str, Any] = False,
+    polish: bool | Critics | Mapping[str, Any] = False,
     seed: int = 0,
     progress: bool = True,
     **options: Any,
@@ -80,14 +83,16 @@ def imitate(
         n_rounds: in which the newest tree plays, and the next one is fitted.
         n_episodes, max_steps: of a round, and of an episode, as `rollout` takes it.
         n_choice_episodes: on which the last two candidates are compared.
-        polish: whether direct search then improves the tree's numbers on the return, or arguments of `otr.polish`.
+        polish: whether direct search then improves the tree's numbers on the return, or arguments of `otr.polish`. Of
+            continuous actions also the policy's critics (`read_critics`), by which the soft actor-critic improves them
+            in 100,000 steps, or these as "critics" with settings of `CriticPolishSettings` or `otr.polish`.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.
         options: of the method's fit, such as `min_samples_leaf`; see `otr.control.settings`.
 
     Raises:
-        ValueError: there is no such method; or as `rollout`.
-        TypeError: the fit has no such option, or the policy's head does not suit the method.
+        ValueError: there is no such method, or critics are another policy's; or as `rollout`.
+        TypeError: the fit has no such option, or the policy's head does not suit the method or critics.
         MissingExtraError: gymnasium, scikit-learn or torch is not installed.
 
     Examples:
@@ -104,6 +109,8 @@ def imitate(
     def play(playing: Any, seeds: Sequence[int], keep_states: bool) -> Rollout:
         return rollout(env, playing, seeds=seeds, max_steps=max_steps)
 
+    shown = _Shown(progress)
+    improve = _improvement(polish, policy, env, play, max_steps, seed, shown)
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(
             policy,
@@ -113,11 +120,11 @@ def imitate(
             DaggerSettings(n_rounds, n_episodes, n_episodes, n_choice_episodes),
             np.random.SeedSequence(seed, spawn_key=(len(_EPISODES),)),
             Path(place),
-            on_round=_Shown() if progress else None,
+            on_round=shown.round,
         )
-    if progress:
-        _say(f"{method} of depth {depth}, {_summary(result)}")
-    tree = _finished(result.tree, play, polish, seed, progress)
+    shown.say(f"{method} of depth {depth}, {_summary(result)}")
+    found = result.tree
+    tree = map_network(improve(found.network)) if isinstance(found, PatternTree) else improve(found)
     return tree.replace(feature_names=feature_names) if feature_names else tree
 
 
@@ -127,17 +134,6 @@ def _summary(result: DaggerResult) -> str:
         f"{chosen.n_leaves:,} leaves: return {chosen.selection_mean:.1f} over {chosen.n_selection_episodes} episodes, "
         f"the policy's {result.oracle_mean:.1f}"
     )
-
-
-def _finished(
-    found: ObliqueTree | PatternTree, play: Play, polish: bool | Mapping[str, Any], seed: int, progress: bool
-) -> ObliqueTree:
-    """Return the tree of what DAgger chose, polished where that is asked for."""
-    arguments = dict(polish) if isinstance(polish, Mapping) else {}
-    if isinstance(found, PatternTree):
-        network = found.network
-        return map_network(_polished(network, play, arguments, seed, progress) if polish else network)
-    return _polished(found, play, arguments, seed, progress) if polish else found
 
 
 def _fitted(policy: Oracle, env: Any) -> tuple[Oracle, list[str]]:
@@ -158,39 +154,83 @@ def _seeds(seed: int, name: str, index: int, n: int) -> list[int]:
     return [int(each) for each in generator.integers(*_SEEDS, n)]
 
 
-def _polished(policy: Numbered, play: Play, options: dict[str, Any], seed: int, progress: bool) -> Numbered:
-    """Return a policy polished by `otr.polish` on the states that it visits."""
+def _improvement(
+    polish: bool | Critics | Mapping[str, Any],
+    policy: Oracle,
+    env: Any,
+    play: Play,
+    max_steps: int | None,
+    seed: int,
+    shown: _Shown,
+) -> Callable[[Any], Any]:
+    """Return the function that improves the numbers of a tree or network on the return."""
+    given = {"critics": polish} if isinstance(polish, Critics) else polish
+    options: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {}
+    critics = options.pop("critics", None)
 
     def returns(policies: Sequence[Any], seeds: IntArray) -> FloatArray:
         return np.stack(
             [play(each.predict, row.tolist(), False).returns for each, row in zip(policies, seeds, strict=True)]
         )
 
-    def show(done: PolishReport) -> None:
-        if progress and done.confirmation is not None:
-            before, after = done.confirmation
-            kept = "kept" if done.kept else "not kept"
-            _say(f"polished, return {after:.1f}, before {before:.1f}: {kept}")
+    def searched(found: Any) -> Any:
+        states = play(found.predict, _seeds(seed, "selection", 2**20, 10), True).states
+        return search_numbers(found, returns, states=states, seed=seed, report=shown.polish, **options)
 
-    states = play(policy.predict, _seeds(seed, "selection", 2**20, 10), True).states
-    return search_numbers(policy, returns, states=states, seed=seed, report=show, **options)
+    if critics is None:
+        return searched if polish else lambda found: found
+
+    from otr.control.critic_polish.learner import polish_by_critics  # these import torch
+    from otr.control.critic_polish.policy_actor import check_critics
+    from otr.control.environments import GymnasiumVectorEnv, limited, playable
+
+    check_critics(critics, policy)
+    names = {field.name for field in fields(CriticPolishSettings)} & options.keys()
+    settings = CriticPolishSettings(**{name: options.pop(name) for name in names})
+    check_settings(settings)
+
+    def learnt(found: Any) -> Any:
+        make, makes_several = playable(env)
+        envs = GymnasiumVectorEnv(limited(make, max_steps))
+        seeds = _seeds(seed, "selection", 2**20 + 1, 3)
+        with closing(envs) if makes_several else nullcontext():
+            return polish_by_critics(
+                found, returns, envs, critics, policy, seeds=seeds, settings=settings, seed=seed,
+                learns_first=not makes_several, report=shown.polish, say=shown.say, **options
+            )  # fmt: skip
+
+    return learnt
 
 
 class _Shown:
-    """Prints how far DAgger is, every few seconds."""
+    """Prints how far imitation and polish are, every few seconds at most, and what comes out."""
 
-    def __init__(self) -> None:
-        self._printed_at = time.monotonic()
+    def __init__(self, progress: bool) -> None:
+        self._progress, self._printed_at, self._n_candidates = progress, time.monotonic(), 0
 
-    def __call__(self, done: DaggerProgress) -> None:
+    def say(self, text: str) -> None:
+        if self._progress:
+            print(f"imitate: {text}", file=sys.stderr, flush=True)
+
+    def round(self, done: DaggerProgress) -> None:
+        so_far = f"{done.n_leaves:,} leaves, return {done.return_mean:.1f}"
+        self._say_seldom(f"round {done.round} of {done.n_rounds}, {so_far}")
+
+    def polish(self, done: PolishReport) -> None:
+        (_, before), (step, now) = done.candidates[0], done.candidates[-1]
+        is_end, self._n_candidates = len(done.candidates) == self._n_candidates, len(done.candidates)
+        if done.confirmation is not None:
+            before, after = done.confirmation
+            self.say(f"polished, return {after:.1f}, before {before:.1f}: {'kept' if done.kept else 'not kept'}")
+        elif is_end:
+            self.say(f"not polished: no candidate returns more than {before:.1f}")
+        else:
+            self._say_seldom(f"polish, {step:,} of {done.n_iterations:,}: return {now:.1f}, before {before:.1f}")
+
+    def _say_seldom(self, text: str) -> None:
         if time.monotonic() - self._printed_at > _EVERY_S:
             self._printed_at = time.monotonic()
-            so_far = f"{done.n_leaves:,} leaves, return {done.return_mean:.1f}"
-            _say(f"round {done.round} of {done.n_rounds}, {so_far}")
-
-
-def _say(text: str) -> None:
-    print(f"imitate: {text}", file=sys.stderr, flush=True)
+            self.say(text)
 
 
 def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, folder: Path) -> TreeFit:

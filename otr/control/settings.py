@@ -236,3 +236,32 @@ class PolishSettings(SearchSettings):
     n_selection_episodes: Count = 100
     n_candidates: Count = 20
     free: bool = False
+
+
+# What an actor climbs: the lesser of two critics' values, or their mean
+ActorValue = Annotated[str, OneOf("min", "mean"), AsBefore("min")]
+
+
+@dataclass(frozen=True)
+class CriticPolishSettings:
+    """Of a polish by critics: the soft actor-critic goes on with the finished policy in the actor's place.
+
+    Attributes:
+        steps: of the environment by the policy, an update each.
+        refill_steps: that fill the replay buffer before, in which the oracle acts as it explored.
+        student_share: of these, in which the policy itself acts: a weak policy needs data on its own mistakes.
+        refill_noise: standard deviation of what is added to actions in [-1, 1] while the buffer is filled.
+        noise: the same from then on.
+        learning_rate: of Adam, for the policy and the critics.
+        batch_size: transitions an update.
+        actor_value: what the policy climbs, the critics' "min" or their "mean".
+    """
+
+    steps: Count = 100_000
+    refill_steps: Count = 50_000
+    student_share: Share = 0.3
+    refill_noise: NotNegative = 0.1
+    noise: NotNegative = 0.1
+    learning_rate: LearningRate = 1e-3
+    batch_size: Count = 100
+    actor_value: ActorValue = "min"

@@ -10,6 +10,7 @@ import os
 import tokenize
 import uuid
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from reprlib import repr as shortened
 from typing import IO, Any
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.domain import Domain
+from otr.core.fixed_point.tanh_table import TanhTable
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.heads import head_from_dict
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
@@ -32,9 +35,17 @@ Arrays = dict[str, NDArray[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _TREE_NAMES = ("feature_names", "output_names")
 _TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
+_FIXED_ARRAYS = (*_TREE_ARRAYS, "shifts", "input_low", "input_high")
+_SCALES, _BITS, _TABLE_BITS = (
+    ("input_scales", "output_scales"),
+    ("bits", "accumulator_bits"),
+    ("unit_bits", "step_bits"),
+)
+
+Saved = ObliqueTree | PatternTree | FixedPointTree
 
 
-def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
+def save(tree: Saved, path: str | os.PathLike[str]) -> Path:
     """Write `tree` as two adjacent files; the same tree always gives the same bytes.
 
     Each file is written under a temporary name and renamed. A `PatternTree` is saved as its network, its paths and
@@ -56,9 +67,9 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
         >>> print(otr.save(tree, "policy"))
         policy.json
     """
-    if not isinstance(tree, ObliqueTree | PatternTree):
+    if not isinstance(tree, Saved):
         raise TypeError(
-            f"tree is a {type(tree).__name__}, expected an ObliqueTree or a PatternTree; "
+            f"tree is a {type(tree).__name__}, expected an ObliqueTree, a PatternTree or a FixedPointTree; "
             "otr.PatternTree(network) holds a network"
         )
     npz_path, json_path = _paths_of(path)
@@ -66,6 +77,8 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
         raise ArtefactError(f"there is no folder {npz_path.parent} to save {npz_path.name} in; make it first")
     if isinstance(tree, PatternTree):
         description, arrays = _describe_pattern_tree(tree)
+    elif isinstance(tree, FixedPointTree):
+        description, arrays = _describe_fixed_point_tree(tree)
     else:
         description, arrays = _describe_tree(tree)
     description["schema"] = SCHEMA_OF_BASIS if "basis" in arrays else SCHEMA
@@ -79,7 +92,7 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
     return json_path
 
 
-def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
+def load(path: str | os.PathLike[str]) -> Saved:
     """Read what `save` wrote, and check it.
 
     Args:
@@ -102,7 +115,8 @@ def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
             f"{npz_path} and {json_path} do not belong together, or one was changed: the digest over both is not the "
             "one recorded; restore the two files or save the tree again"
         )
-    readers: dict[str, Callable[[dict[str, Any], Arrays], ObliqueTree | PatternTree]] = {
+    readers: dict[str, Callable[[dict[str, Any], Arrays], Saved]] = {
+        "fixed_point_tree": _restore_fixed_point_tree,
         "oblique_tree": _restore_tree,
         "pattern_tree": _restore_pattern_tree,
     }
@@ -121,15 +135,43 @@ def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
         arrays |= {"P": tree.P_of_basis, "M": tree.M_of_basis, "basis": tree.basis}
     if tree.labels is not None:
         arrays["labels"] = tree.labels
-    names = {name: list(getattr(tree, name)) for name in _TREE_NAMES if getattr(tree, name) is not None}
-    return {"kind": "oblique_tree", "head": tree.head.to_dict(), **names}, arrays
+    return {"kind": "oblique_tree", "head": tree.head.to_dict(), **_names(tree)}, arrays
+
+
+def _names(tree: ObliqueTree | FixedPointTree) -> dict[str, list[str]]:
+    return {name: list(getattr(tree, name)) for name in _TREE_NAMES if getattr(tree, name) is not None}
 
 
 def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
     core = (arrays[name] for name in _TREE_ARRAYS)
+    return ObliqueTree(*core, labels=arrays.get("labels"), basis=arrays.get("basis"), **_head_and_names(description))
+
+
+def _head_and_names(description: dict[str, Any]) -> dict[str, Any]:
     names = {name: _field(description, name, list) for name in _TREE_NAMES if name in description}
-    head = head_from_dict(_field(description, "head", dict))
-    return ObliqueTree(*core, labels=arrays.get("labels"), head=head, basis=arrays.get("basis"), **names)
+    return {"head": head_from_dict(_field(description, "head", dict)), **names}
+
+
+def _describe_fixed_point_tree(tree: FixedPointTree) -> tuple[dict[str, Any], Arrays]:
+    arrays: Arrays = {name: getattr(tree, name) for name in _FIXED_ARRAYS}
+    description: dict[str, Any] = {"kind": "fixed_point_tree", "head": tree.head.to_dict(), **_names(tree)}
+    description |= {name: [str(scale) for scale in getattr(tree, name)] for name in _SCALES}
+    description |= {name: getattr(tree, name) for name in _BITS}
+    if tree.labels is not None:
+        arrays["labels"] = tree.labels
+    if tree.table is not None:
+        arrays["table"] = tree.table.values
+        description |= {name: getattr(tree.table, name) for name in _TABLE_BITS}
+    return description, arrays
+
+
+def _restore_fixed_point_tree(description: dict[str, Any], arrays: Arrays) -> FixedPointTree:
+    held: dict[str, Any] = {name: arrays[name] for name in _FIXED_ARRAYS} | {"labels": arrays.get("labels")}
+    held |= {name: tuple(map(Fraction, _field(description, name, list))) for name in _SCALES}
+    held |= {name: _field(description, name, int) for name in _BITS}
+    if "table" in arrays:
+        held["table"] = TanhTable(arrays["table"], *(_field(description, name, int) for name in _TABLE_BITS))
+    return FixedPointTree(**held, **_head_and_names(description))
 
 
 def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:

@@ -139,7 +139,7 @@ def _in_half_widths(rows: Integers, box: ExactBox) -> tuple[FloatArray, FloatArr
     """
     sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
     a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
-    a = a.reshape(len(rows), -1)
+    a = a.reshape(rows.shape)
     middle, half = _half_widths(box)
     return a[:, :-1] * half, a[:, -1] + a[:, :-1] @ middle, sizes
 

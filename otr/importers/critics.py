@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
-from otr.errors import ArtefactError
+from otr.errors import ArtefactError, InvalidNetworkError
+from otr.extras import naming_the_extra
 from otr.files.zip_members import read_members
+from otr.importers.input_statistics import find_statistics
 from otr.importers.sb3_archive import load_tensors, read_archive, readable_slope
 from otr.importers.sb3_layers import Tensors, linear_layers
 from otr.importers.torch_modules import real_values
@@ -56,6 +59,38 @@ class Critics:
             return [(weight, bias - middle @ weight[:, :d][:, None]), *others]
 
         return replace(self, layers=folded(self.layers), targets=folded(self.targets))
+
+
+@naming_the_extra("otr.read_critics")
+def read_critics(file: str | os.PathLike[str]) -> Critics:
+    """Return the critics of Stable-Baselines3's SAC, TD3 or DDPG, or of TQC, by which `imitate` polishes a tree.
+
+    Args:
+        file: the path of the zip file that `model.save` wrote; no code in it is run.
+
+    Raises:
+        InvalidNetworkError: it has no critics of (leaky) ReLU units, or they judge what VecNormalize made of states.
+        ArtefactError: the file cannot be read.
+        MissingExtraError: torch is not installed.
+
+    Examples:
+        >>> from stable_baselines3 import SAC
+        >>> SAC("MlpPolicy", "Pendulum-v1", policy_kwargs={"net_arch": [16, 8]}).save("model.zip")
+        >>> otr.read_critics("model.zip").widths
+        (16, 8)
+    """
+    path = Path(file)
+    critics = critics_of_zip(path)
+    if critics is None:
+        raise InvalidNetworkError(
+            f"{path} has no critics of (leaky) ReLU units, as SAC, TD3, DDPG and TQC have; polish by a search"
+        )
+    if any(find_statistics(path)):
+        raise InvalidNetworkError(
+            f"{path}: its critics judge states and rewards as VecNormalize made them, and not the environment's; "
+            "polish by a search"
+        )
+    return critics
 
 
 def critics_of_zip(path: Path) -> Critics | None:

@@ -11,6 +11,7 @@ or a cell that holds none, comes with multipliers that show it. `otr.certify` (o
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from bisect import bisect_left
@@ -154,8 +155,8 @@ class Certificate:
         return target
 
 
-def load_certificate(path: str | os.PathLike[str]) -> Certificate:
-    """Read what `Certificate.save` wrote.
+def load_certificate(path: str | os.PathLike[str]) -> Any:
+    """Read what `Certificate.save` wrote, or `FixedPointCertificate.save`.
 
     Raises:
         ArtefactError: the file is missing, no JSON, or no certificate.
@@ -171,6 +172,8 @@ def load_certificate(path: str | os.PathLike[str]) -> Certificate:
         description = json.loads(Path(path).read_text())
     except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read as JSON ({error}); certify the tree again") from error
+    if isinstance(description, dict) and str(description.get("schema")).startswith("otr/fixed-point-certificate/"):
+        return importlib.import_module("otr").FixedPointCertificate.from_dict(description)  # of a floor above this one
     return Certificate.from_dict(description)
 
 

@@ -142,8 +142,8 @@ def with_smallest_bounds(pair: TreeAndNetwork, cell: Cell) -> tuple[Cell, FloatA
     differences = np.empty((0, pair.n_coordinates + 1), dtype=object)
     if pair.tree.labels is None:
         differences = pair.differences(cell.leaf, pair.forms(outcomes[: pair.network.n_hidden]), outcomes)
-    forms = pair.written_out(np.array([*tests, *differences, *-differences]))[0]
-    found = near_largest(pair.stacked(rows), forms, pair.two_limits)
+    forms = [*tests, *differences, *-differences]
+    found = near_largest(pair.stacked(rows), pair.written_out(np.array(forms))[0], pair.two_limits) if forms else None
     if found is None:
         return cell, np.empty((0, pair.domain.n_inputs))
     names, n, (states, multipliers) = list(rows), len(tests), found

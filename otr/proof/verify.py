@@ -34,6 +34,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import singledispatch
+from typing import Any
 
 import numpy as np
 
@@ -48,9 +50,8 @@ from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAn
 NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
 
 
-def verify(
-    certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *, max_seconds: float | None = None
-) -> float:
+@singledispatch
+def verify(certificate: Any, tree: Any, network: Any, *, max_seconds: float | None = None) -> float:
     """Check that a certificate proves that `tree` computes the same function as `network`, and return the bound.
 
     Args:

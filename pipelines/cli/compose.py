@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 from omegaconf import AnyNode, DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException, ValidationError
 
-from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
+from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.setting import DERIVED, declared, expected, is_list
 from pipelines.engine.job import message_of as message_of_job
@@ -24,19 +24,21 @@ from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
 
 USAGE_ERRORS = (ConfigError, HydraException, OmegaConfBaseException)  # the request itself is wrong
+SCHEMA = "_schema"
 NEW_KEYS = ("experiment", "env.kwargs.", "hydra.")  # what a + may add
 
 
 class Composer:
     """What one command's overrides are composed from.
 
-    `name` is that of the main configuration file, `schemas` are the dataclasses that the files build on, by group and
-    name, and `checked` the groups whose options are checked.
+    `name` is that of the main configuration file, `schemas` are the dataclasses that the files build on, as
+    `<name>_schema`, or that are options themselves, by group and name, and `checked` the groups whose options are
+    checked.
     """
 
     # Where that file and the command's own groups are, below conf/; what is missing is looked for in conf/ itself.
     folder = ""
-    needs: tuple[str, str] | None = None  # the group of which an option is required, and what such an option is
+    needs: tuple[str, str]  # the group of which an option is required, and what such an option is
     besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
     # Beginnings of keys of values that decide what is composed, as the options of a group do.
@@ -80,7 +82,7 @@ class Composer:
         of_name = [f"{group}={override}" for group in self.checked if override in self.options(group)]
         if of_name:
             raise ConfigError(f"{override} is no key=value. Did you mean {' or '.join(of_name)}?")
-        example = f"{self.needs[0]}={self.options(self.needs[0])[0]}" if self.needs else "key=value"
+        example = f"{self.needs[0]}={self.options(self.needs[0])[0]}"
         raise ConfigError(f"{override} is no key=value; settings are given as {example}, and --help lists them")
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
@@ -125,16 +127,15 @@ class Composer:
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose these overrides without what they imply."""
         for override in overrides:
-            if self.parsed(override).is_sweep_override():
-                raise ConfigError(f"{override}: give one value; a list is written in brackets, as [a,b]")
+            one_value(override, self.parsed(override))
             key, _, value = override.lstrip("+").partition("=")
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
             if key in self.checked:
-                self.check_option(key, value, overrides)
+                self.check_option(key, value)
             if key == "launcher":
                 check_launcher(value)
-        if self.needs and self.needs[0] not in map(key_of, overrides):
+        if self.needs[0] not in map(key_of, overrides):
             implied = self.implied(overrides)
             self.check_keys([override for override in overrides if override not in implied])
             group, what = self.needs
@@ -170,26 +171,29 @@ class Composer:
             returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
         return returned
 
-    def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
-        """Raise ConfigError, with the nearest known names, if a group has no such option under these overrides."""
-        options = self.options(group, overrides)
+    def check_option(self, group: str, value: str) -> None:
+        """Raise ConfigError, with the nearest known names, if a group has no such option."""
+        options = self.options(group)
         if value not in options:
             raise ConfigError(f"{group}={value}: there is no such {group}.{did_you_mean(value, options)}")
 
-    def options(self, group: str, overrides: Sequence[str] = ()) -> list[str]:
-        """Return the names of a group's options: its files in conf/, and in the folders that the overrides search."""
-        own = sorted(path.stem for path in (CONF_DIR / self.folder / group).glob("*.yaml"))
-        shipped = own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
-        searched = (path.stem for folder in searched_folders(overrides) for path in (folder / group).glob("*.yaml"))
-        return [*shipped, *sorted(set(searched) - set(shipped))]
+    def options(self, group: str) -> list[str]:
+        """Return the names of a group's options: its files in conf/, else the classes that are options themselves."""
+        for folder in (CONF_DIR / self.folder / group, CONF_DIR / group):
+            if files := sorted(path.stem for path in folder.glob("*.yaml")):
+                return files
+        return sorted(name for of, name in self.schemas if of == group and not name.endswith(SCHEMA))
 
     @contextmanager
     def hydra(self) -> Iterator[None]:
         """Make Hydra ready to compose from conf/."""
         with initialize_config_dir(str((CONF_DIR / self.folder).resolve()), job_name="otr", version_base="1.3"):
             if not self._is_registered:
-                for (group, name), schema in self.schemas.items():
-                    ConfigStore.instance().store(name, schema_of(schema), group=group)
+                for (group, name), kind in self.schemas.items():
+                    schema = schema_of(kind)
+                    if not name.endswith(SCHEMA):
+                        schema.name = name
+                    ConfigStore.instance().store(name, schema, group=group)
                 self._is_registered = True
             yield
 
@@ -215,12 +219,20 @@ class Composer:
             base = [
                 override
                 for override in overrides
-                if (override.split("=")[0] in self.checked and "experiment=" not in override) or is_search(override)
+                if override.split("=")[0] in self.checked and "experiment=" not in override
             ]
             keys = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
             known = [*keys, *self.short]
             return f"there is no key {key!r}.{did_you_mean(key, known)}"
         return _one_line(lines)
+
+
+def one_value(override: str, parsed: Override | None = None) -> Override:
+    """Return an override as Hydra reads it; ConfigError where it has several values."""
+    parsed = parsed or parse(override)
+    if parsed.is_sweep_override():
+        raise ConfigError(f"{override}: give one value; a list is written in brackets, as [a,b]")
+    return parsed
 
 
 def message_of(error: Exception) -> str:

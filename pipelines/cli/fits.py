@@ -7,6 +7,7 @@ from pathlib import Path
 from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
+from pipelines.datasets.catalogue import NAMES
 from pipelines.datasets.table import is_table
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import LEARNERS, TABLE, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
@@ -80,7 +81,7 @@ FIT = FitWorkflow(
     "fit",
     {
         (None, "fit_schema"): FitConfig,
-        (None, "data_schema"): DataConfig,
+        **{("data", name): DataConfig for name in (*NAMES, TABLE)},
         **{("method", f"{name}_schema"): learner for name, learner in LEARNERS.items()},
     },
     checked=("data", "method", "launcher", "experiment"),

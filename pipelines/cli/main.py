@@ -64,14 +64,6 @@ def _arguments(program: str) -> argparse.Namespace:
             "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
         )
         parser.add_argument("--cfg", action="store_true", help="print the resolved configuration and stop")
-    if program in ("otr-run", "otr-plan", "otr-export", "otr-verify"):
-        parser.add_argument(
-            "--config-dir", type=Path, metavar="DIR", help="look for options in this folder, too, as DIR/env/maze.yaml"
-        )
-    if program == "otr-plan":
-        parser.add_argument(
-            "--jobs", type=Path, metavar="FILE", help="also write one command a line, for xargs or sbatch --array"
-        )
     return parser.parse_intermixed_args()
 
 

@@ -4,9 +4,8 @@ import argparse
 import functools
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
@@ -17,17 +16,6 @@ from pipelines.errors import ConfigError
 
 FILES = ("program", "model", "oracle", "normalise", "output", "results_dir", "data", "target")  # of otr-run and -fit
 BOXES = ("box", "certification.box")
-SEARCH = "hydra.searchpath="
-PATHS = (
-    "run",
-    "out",
-    "program",
-    "always",
-    "results_dir",
-    "certificate",
-    "tree",
-    "actor",
-)  # keys of otr-export and otr-verify
 
 
 @functools.cache
@@ -55,44 +43,22 @@ def key_of(override: str) -> str:
 
 def is_of_launching(override: str) -> bool:
     """Return whether an override concerns how a sweep is launched, and no job."""
-    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/")) and not is_search(override)
+    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/"))
 
 
 def asked(arguments: argparse.Namespace) -> list[str]:
-    """Return the overrides of a command; ``--config-dir DIR`` is one too, which adds a folder to Hydra's search path.
-
-    Raises:
-        ConfigError: there is no such folder.
-    """
-    overrides = [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
-    folder = getattr(arguments, "config_dir", None)
-    if folder is None:
-        return overrides
-    if not folder.is_dir():
-        raise ConfigError(f"--config-dir {folder}: there is no such folder")
-    return [*overrides, f"{SEARCH}[{quoted(f'file://{folder.resolve()}')}]"]
+    """Return the overrides of a command, those of boxes and files as Hydra reads them."""
+    return [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
 
 
 def without_environment(arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
     """Return the overrides of a command of policies, and apart from them those that say more of its environment.
 
-    These are names (`env.feature_names`), arguments (`+env.kwargs.size`) and the folder of its file (`--config-dir`).
+    These are names (`env.feature_names`) and arguments (`+env.kwargs.size`).
     """
-    paths = [path_quoted(override) for override in arguments.overrides]
-    overrides = asked(argparse.Namespace(**{**vars(arguments), "overrides": paths}))
-    of_env = [each for each in overrides if key_of(each).startswith("env.") or is_search(each)]
+    overrides = asked(arguments)
+    of_env = [each for each in overrides if key_of(each).startswith("env.")]
     return [each for each in overrides if each not in of_env], of_env
-
-
-def is_search(override: str) -> bool:
-    """Return whether an override adds folders to Hydra's search path."""
-    return override.startswith(SEARCH)
-
-
-def searched_folders(overrides: Iterable[str]) -> list[Path]:
-    """Return the folders of configuration files that overrides add to conf/."""
-    given: list[Any] = [parse(override).value() for override in overrides if is_search(override)]
-    return [Path(str(place).removeprefix("file://")) for places in given for place in places]
 
 
 def combinations(overrides: Iterable[str]) -> list[list[str]]:
@@ -108,18 +74,6 @@ def combinations(overrides: Iterable[str]) -> list[list[str]]:
         else:
             values[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
     return [list(job) for job in itertools.product(*values.values())]
-
-
-def combined(jobs: Sequence[Sequence[str]]) -> list[str] | None:
-    """Return the overrides of one sweep that makes exactly these jobs; None where there is no such sweep."""
-    keys = [[override.split("=", 1)[0] for override in own] for own in jobs]
-    if any(own != keys[0] for own in keys):
-        return None
-    values = [list(dict.fromkeys(column)) for column in zip(*jobs, strict=True)]
-    if {tuple(own) for own in jobs} != set(itertools.product(*values)):
-        return None
-    listed = [f"{own[0].split('=', 1)[0]}={','.join(override.split('=', 1)[1] for override in own)}" for own in values]
-    return [*(["-m"] if len(jobs) > 1 else []), *listed]
 
 
 def quoted(value: str) -> str:
@@ -163,22 +117,3 @@ def _sides_in(path: Path, override: str) -> str:
 
 def _number(text: str) -> str:
     return f"{float(text)!r}".removesuffix(".0")
-
-
-def path_quoted(override: str) -> str:
-    """Return an override with its value quoted if that is a path: folders of runs may have a ~ in them."""
-    key, equals, value = override.partition("=")
-    is_path = key in PATHS and value not in ("", "null") and value[0] not in "\"'"
-    return f"{key}={quoted(value)}" if equals and is_path else override
-
-
-def runs_listed(overrides: Sequence[str]) -> list[str]:
-    """Return overrides with paths quoted, and run=A run=B, or run=[A,B], as one of them."""
-    values = [override.partition("=")[2] for override in overrides if override.startswith("run=")]
-    runs = [
-        run.strip().strip("'\"")
-        for value in values
-        for run in (value[1:-1].split(",") if value[:1] == "[" else [value])
-    ]
-    others = [path_quoted(override) for override in overrides if not override.startswith("run=")]
-    return [*others, f"run=[{','.join(quoted(run) for run in runs if run)}]"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import MANIFEST, pack
-from pipelines.engine.store import CONFIG, exists
+from pipelines.engine.store import CONFIG, SUMMARY, exists
 from pipelines.errors import PipelineError
 from pipelines.runs.derived import derive
 
@@ -24,8 +24,10 @@ def pack_results(results_dir: Path) -> int:
     for run_dir in runs:
         try:
             # A fit has nothing that is made again in seconds; nor has an oracle, a run without a configuration.
-            is_run = run_dir.parts[-3].startswith("depth-") and exists(run_dir / CONFIG)
-            pack(run_dir, partial(derive, load_config(run_dir, None)) if is_run else None, leave=("fit",))
+            if not run_dir.parts[-3].startswith("depth-"):
+                pack(run_dir, leave=("fit",), of_run=(CONFIG, SUMMARY))
+            else:
+                pack(run_dir, partial(derive, load_config(run_dir, None)) if exists(run_dir / CONFIG) else None)
         except PipelineError as error:
             n_failed += 1
             print(f"{run_dir} stays as it is: {error}", file=sys.stderr)

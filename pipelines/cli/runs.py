@@ -1,6 +1,7 @@
 """The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
 import dataclasses
+import functools
 import re
 import sys
 from collections.abc import Sequence
@@ -13,9 +14,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 import otr
+from otr.core.smooth_network import Layered
 from pipelines.cli.compose import schema_of, to_object
-from pipelines.cli.env_files import check_env_file, settings_of_env_file
-from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
+from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.cli.short_forms import SHORT, imitates, imitating, spelt_out
 from pipelines.cli.workflow import Workflow
 from pipelines.config.algo import ALGORITHMS, ArsConfig, is_small
@@ -65,6 +66,13 @@ SETTINGS_OF = {
 }
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
+
+def _of_task(table: DictConfig, task: str, *names: str) -> Any:
+    """Return a task's row of a budget's table, or a number of it; that of `others` where the table has no such task."""
+    return functools.reduce(lambda found, name: found[name], names, table.get(task, table.get("others")))
+
+
+OmegaConf.register_new_resolver("of_task", _of_task, replace=True)
 # For recipes: their settings of small actors do not apply to oracles, nor to the linear policy.
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
@@ -86,10 +94,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if isinstance(cfg.get("trainer"), DictConfig):  # there used to be a single trainer
-            for name in (
-                "environments",
-                "precision",
-            ):  # of fleets, once; committed ones have what is left: gymnasium, fp32
+            for name in ("environments", "precision"):  # of fleets, once; what is left is gymnasium and fp32
                 cfg.trainer.pop(name, None)
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
@@ -107,6 +112,15 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
     (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"program={quoted(program)}"])])
     config = job.config
     return config, policy_tree(config.program_text, config.env, program)
+
+
+def policy_of_model(env: str, model: str, of_env: Sequence[str] = ()) -> tuple[RunConfig, Layered]:
+    """Return the run that would play a model's policy, which need not have a tree, and that network."""
+    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"model={quoted(model)}", "stages=[import]"])])
+    policy = job.config.imported.policy
+    if not isinstance(policy, Layered):
+        raise ConfigError(f"model={model}: {policy.reason}, so it is no network that a program could hold")
+    return job.config, policy
 
 
 def _check_later_stages(config: RunConfig) -> None:
@@ -141,19 +155,13 @@ class RunWorkflow(Workflow):
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = _by_key(overrides)
         words = remaining(recipe(given), given)
-        given |= _by_key(words)
-        file = _env_file(given.get("env", ""), overrides)
-        of_file = settings_of_env_file(file) if file else {}
-        return [*words, *always_implied(of_file | given)]
+        return [*words, *always_implied(given | _by_key(words))]
 
-    def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
+    def check_option(self, group: str, value: str) -> None:
         """Take any environment that is registered with gymnasium, besides those that have a file."""
-        known = self.options(group, overrides)
+        known = self.options(group)
         if group != "env" or value in known:
-            super().check_option(group, value, overrides)
-            file = _env_file(value, overrides) if group == "env" else None
-            if file:
-                check_env_file(file)
+            super().check_option(group, value)
         elif ":" not in value and value not in registered_ids():
             hint = did_you_mean(value, known, unlisted=registered_ids())
             more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1"
@@ -166,8 +174,8 @@ class RunWorkflow(Workflow):
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose, with an environment's own settings of direct search in place of the general ones."""
         env = next((override for override in reversed(overrides) if override.startswith("env=")), "").partition("=")[2]
-        if env and env not in self.options("env", overrides):
-            self.check_option("env", env, overrides)
+        if env and env not in self.options("env"):
+            self.check_option("env", env)
             _offer(own_environment(env, _env_kwargs(overrides)))
         own = f"ars_{env}"
         if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
@@ -265,10 +273,13 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
     return {key_of(override): override.partition("=")[2] for override in overrides}
 
 
-def _env_file(env: str, overrides: Sequence[str], *others: Path) -> Path | None:
-    """Return the file of an environment in the folders that a command names, or in others; None where there is none."""
-    files = (folder / "env" / f"{env}.yaml" for folder in (*searched_folders(overrides), *others))
-    return next((file for file in files if file.is_file()), None)
+def _algorithm_of(env: str) -> str | None:
+    """Return the algorithm that the file of an environment, or one that it builds on, chooses; None without a file."""
+    file = CONF_DIR / "env" / f"{env}.yaml"
+    found = None
+    for entry in yaml.safe_load(file.read_text(encoding="utf-8"))["defaults"] if file.is_file() else ():
+        found = (_algorithm_of(entry) if isinstance(entry, str) else entry.get("override /algo")) or found
+    return found
 
 
 def _offer(env: EnvConfig) -> None:
@@ -296,9 +307,8 @@ def _named(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     given, others = _by_key(overrides), [override for override in overrides if not override.startswith("algo=")]
     named = ["trainer=sb3", "algo=ars" if isinstance(config.algo, ArsConfig) else "algo=sac" if config.fleet else ""]
     if "algo" in given:
-        file = _env_file(given["env"], overrides, CONF_DIR)
-        of_env = settings_of_env_file(file) if file else {}
-        named.append([f"algo={of_env.get('algo')}", *(o for o in RUN.implied(others) if key_of(o) == "algo")][-1])
+        implied = (override for override in RUN.implied(others) if key_of(override) == "algo")
+        named.append([f"algo={_algorithm_of(given['env'])}", *implied][-1])
     if "trainer" in given and (config.fleet is not None or "trainer=sb3" not in recipe(given)):
         named.append(f"trainer={given['trainer']}")
     return named
@@ -355,7 +365,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     Its trainer, or the search, is the imitating run's, which may be a recipe's. An oracle from a file is
     imported by method=model.
     """
-    own = [override for override in overrides if key_of(override).split(".")[0] in OF_ORACLES or is_search(override)]
+    own = [override for override in overrides if key_of(override).split(".")[0] in OF_ORACLES]
     if config.trainer.name == SHRINK:  # which a fleet's oracle is for
         own = [*(override for override in own if key_of(override) != "trainer"), "trainer=fleet"]
     if config.imported is not None:

@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import combinations, is_of_launching, is_search, key_of, parse
+from pipelines.cli.overrides import combinations, is_of_launching, key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.console import counted
 from pipelines.engine.digests import setting_differences
@@ -116,8 +116,7 @@ class Workflow(Composer, ABC):
         budgets = [override for override in single if override.startswith("budget=") and "budget" in self.checked]
         for override in (*experiments, *budgets):
             group, _, option = override.lstrip("+").partition("=")
-            self.check_option(group, option, overrides)
-        assert self.needs is not None
+            self.check_option(group, option)
         own = [f"{self.needs[0]}={self.anything}", *budgets, *experiments]
         settings = self.settings_of_hydra(own)
         name = experiments[-1].split("=", 1)[1]
@@ -154,7 +153,7 @@ class Workflow(Composer, ABC):
         if key == "experiment":  # one that brings values to sweep over, and no settings that decide what comes out
             path = CONF_DIR / self.folder / "experiment" / f"{value}.yaml"
             return path.is_file() and OmegaConf.load(path).keys() <= {"hydra", *self.harmless}
-        return key in (*self.naming, *self.harmless) or is_of_launching(override) or is_search(override)
+        return key in (*self.naming, *self.harmless) or is_of_launching(override)
 
 
 def _check_shared_folders(jobs: Sequence[Job]) -> None:

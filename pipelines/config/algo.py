@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from otr.control.settings import SearchSettings
+from otr.control.settings import ActorValue, SearchSettings
 from otr.setting import CountOrZero, LearningRate
 from pipelines.config.setting import (
     EXECUTION,
@@ -20,7 +20,7 @@ from pipelines.config.setting import (
     Width,
     declared,
 )
-from pipelines.config.stages import ActorConfig, ActorValue
+from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched
@@ -113,8 +113,8 @@ class GradientConfig(AlgoConfig):
 
 
 @dataclass(frozen=True)
-class OnPolicyConfig(GradientConfig):
-    """What PPO and TRPO share, under Stable-Baselines3's names."""
+class PpoConfig(GradientConfig):
+    """Proximal policy optimisation, under Stable-Baselines3's names."""
 
     n_envs: Annotated[int, Range(1, 4096)] = 1
     n_steps: Annotated[int, Range(2)] = 2048
@@ -122,6 +122,15 @@ class OnPolicyConfig(GradientConfig):
     # Whether states, and rewards by the deviation of their discounted sum, are normalised by what was met so far
     # (VecNormalize); the states' part is affine and is folded into the actor, which reads the environment's own states
     normalise: Annotated[bool, AsBefore(False)] = field(default=False, kw_only=True)
+    n_epochs: Count = 10
+    clip_range: Annotated[float, Range(1e-6, 10)] = 0.2
+    ent_coef: NotNegative = 0.0
+    vf_coef: NotNegative = 0.5
+    max_grad_norm: Positive = 0.5
+    # Explore by a linear function of the state that is redrawn every `sde_sample_freq` steps (-1: every
+    # rollout), instead of by noise drawn at every step; for continuous actions
+    use_sde: Annotated[bool, AsBefore(False)] = False
+    sde_sample_freq: Annotated[int, Range(-1), AsBefore(-1)] = -1
 
     steps_per_s = 1_700.0
 
@@ -135,31 +144,6 @@ class OnPolicyConfig(GradientConfig):
         super().check(key, layers, actor)
         if self.normalise and actor.rescale_inputs:
             raise ConfigError("algo.normalise=true and actor.rescale_inputs=true both change the states: leave one out")
-
-
-@dataclass(frozen=True)
-class PpoConfig(OnPolicyConfig):
-    """Proximal policy optimisation, under Stable-Baselines3's names."""
-
-    n_epochs: Count = 10
-    clip_range: Annotated[float, Range(1e-6, 10)] = 0.2
-    ent_coef: NotNegative = 0.0
-    vf_coef: NotNegative = 0.5
-    max_grad_norm: Positive = 0.5
-    # Explore by a linear function of the state that is redrawn every `sde_sample_freq` steps (-1: every
-    # rollout), instead of by noise drawn at every step; for continuous actions
-    use_sde: Annotated[bool, AsBefore(False)] = False
-    sde_sample_freq: Annotated[int, Range(-1), AsBefore(-1)] = -1
-
-
-@dataclass(frozen=True)
-class TrpoConfig(OnPolicyConfig):
-    """Trust region policy optimisation, under sb3-contrib's names."""
-
-    target_kl: Positive = 0.01
-    cg_max_steps: Count = 15
-    cg_damping: NotNegative = 0.1
-    n_critic_updates: Count = 10
 
 
 @dataclass(frozen=True)
@@ -243,7 +227,6 @@ class DdpgConfig(ContinuousConfig):
 
 ALGORITHMS: dict[str, type[AlgoConfig]] = {
     "ppo": PpoConfig,
-    "trpo": TrpoConfig,
     "sac": SacConfig,
     "td3": Td3Config,
     "ddpg": DdpgConfig,

@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass, field
 
-from otr.control.settings import DaggerSettings
+from otr.control.settings import CriticPolishSettings, DaggerSettings
 from otr.setting import CountOrZero
 from pipelines.config.setting import Count, FreeText
-from pipelines.config.stages import CriticPolishConfig
 
 
 @dataclass(frozen=True)
 class BudgetConfig:
-    """How much is spent. The rest is the same for all tasks."""
+    """How much is spent. Tables are by task, with `others` for those that they do not name; the rest is for all."""
 
     name: FreeText
     steps: dict[str, Count]  # environment steps per task
@@ -32,8 +31,8 @@ class BudgetConfig:
     # Environment steps of polishing per task, about
     polish_steps: dict[str, Count] = field(default_factory=dict)
     # Environment steps of polishing by critics, and of the play before it
-    critic_steps: Count = CriticPolishConfig.steps
-    refill_steps: Count = CriticPolishConfig.refill_steps
+    critic_steps: Count = CriticPolishSettings.steps
+    refill_steps: Count = CriticPolishSettings.refill_steps
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes,
     # n_evaluation_episodes and polish_steps
     pid: dict[str, Count] = field(default_factory=dict)

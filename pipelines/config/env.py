@@ -125,4 +125,6 @@ def _names_in_conf(name: str) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     file = yaml.safe_load(path.read_text(encoding="utf-8"))
-    return {key: file["env"].get(key, []) for key in ("feature_names", "action_names")}
+    base = file["defaults"][0]  # of hopper_v5 that is hopper
+    inherited = (_names_in_conf(base) if isinstance(base, str) else None) or {}
+    return {key: file["env"].get(key, inherited.get(key, [])) for key in ("feature_names", "action_names")}

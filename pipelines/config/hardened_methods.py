@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from otr.control.settings import ExpertsSettings, RelaxedProgramSettings
 from otr.setting import Hardness, Leaves
-from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
+from pipelines.config.algo import AlgoConfig, PpoConfig, SacConfig
 from pipelines.config.method import GrownConfig
 from pipelines.config.setting import NotNegative, Range, Share
 from pipelines.config.stages import ActorConfig
@@ -50,10 +50,8 @@ class SoftConfig(HardenedConfig):
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse algorithms that train no soft trees."""
-        if not isinstance(algo, OnPolicyConfig | SacConfig):
-            raise ConfigError(
-                f"method={self.name} is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not {algo.name}"
-            )
+        if not isinstance(algo, PpoConfig | SacConfig):
+            raise ConfigError(f"method={self.name} is trained by algo=ppo_tree or algo=sac, not {algo.name}")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ out, which are all that no marker leaves out.
 """
 
 import dataclasses
+import os
 import re
 from dataclasses import dataclass
 from types import NoneType, UnionType
@@ -62,6 +63,11 @@ FreeText = Annotated[str, Text()]
 Folder = Annotated[str, Text(".+", "give a folder, or leave it out (and OTR_RESULTS_DIR unset)"), EXECUTION]
 
 
+def results_folder() -> str:
+    """Return the default of `results_dir`."""
+    return os.environ.get("OTR_RESULTS_DIR", "results")
+
+
 def not_keyed(kind: type) -> tuple[str, ...]:
     """Return the fields of a configuration's class that do not decide what comes out."""
     return tuple(name for name, markers in declared(kind).items() if any(isinstance(m, NotKeyed) for m in markers))
@@ -70,6 +76,11 @@ def not_keyed(kind: type) -> tuple[str, ...]:
 def is_list(kind: type, name: str) -> bool:
     """Return whether the field `name` of a configuration's class is a list."""
     return any(get_origin(hint) is list for hint in _alternatives(get_type_hints(kind)[name]))
+
+
+def is_text(kind: type, name: str) -> bool:
+    """Return whether the field `name` of a configuration's class may be a text."""
+    return str in _alternatives(get_type_hints(kind)[name])
 
 
 def expected(kind: type, name: str) -> str:

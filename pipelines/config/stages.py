@@ -3,15 +3,14 @@
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from otr.control.settings import PolishSettings
-from otr.setting import BelowOne, CountOrZero, LearningRate
+from otr.control.settings import CriticPolishSettings, PolishSettings
+from otr.setting import BelowOne, CountOrZero
 from pipelines.config.setting import (
     AsBefore,
     Count,
     NotNegative,
     OneOf,
     Seed,
-    Share,
     Text,
     keyed_settings,
 )
@@ -59,33 +58,13 @@ class PruneConfig:
     k: Count | None = None
 
 
-# What an actor climbs: the lesser of two critics' values, or their mean
-ActorValue = Annotated[str, OneOf("min", "mean"), AsBefore("min")]
-
-
-@dataclass(frozen=True)
-class CriticPolishConfig:
-    """A polish by critics: the soft actor-critic goes on with the finished policy in the actor's place."""
-
-    steps: Count = 100_000  # of the environment by the policy, an update each
-    # Steps that fill the replay buffer before, in which the oracle acts as it explored
-    refill_steps: Count = 50_000
-    # Share of these in which the policy itself acts: a weak policy needs data on its own mistakes
-    student_share: Share = 0.3
-    refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
-    noise: NotNegative = 0.1  # and from then on
-    learning_rate: LearningRate = 1e-3
-    batch_size: Count = 100
-    actor_value: ActorValue = "min"
-
-
 @dataclass(frozen=True)
 class PolishingConfig(PolishSettings):
     """Polishing: the finished policy's numbers improved on its return, by direct search (`otr.polish`) or critics."""
 
     # Null is by the critics where the method imitates an oracle that has some, else by search
     by: Annotated[str | None, OneOf("search", "critic"), AsBefore(None)] = None
-    critic: CriticPolishConfig = field(default_factory=CriticPolishConfig)
+    critic: CriticPolishSettings = field(default_factory=CriticPolishSettings)
     # Environment steps of the search, about: as many iterations as they pay for at the length that episodes have before
     steps: Count = 1_000_000
     # Whose numbers: the network's, where a tree is mapped from one (it is then mapped and pruned again), or the pruned

@@ -17,9 +17,6 @@ LCN_ROOTS = (
     "https://raw.githubusercontent.com/guanghelee/iclr20-lcn/78d2262207ef/data",
     "https://raw.githubusercontent.com/guanghelee/iclr20-lcn/master/data",
 )
-# SMILES and labels as of January 2019, MIT licence.
-CHEMPROP_ROOT = "https://raw.githubusercontent.com/chemprop/chemprop/a68ade20f227862fe6265c46f021c78217a324ab/data"
-PACKED_AT_SOURCE = {"raw/hiv.csv"}
 # RAND's Health Insurance Experiment, in the public domain, as Statsmodels 0.14.4 has it.
 RANDHIE_ROOT = "https://raw.githubusercontent.com/statsmodels/statsmodels/v0.14.4/statsmodels/datasets/randhie"
 
@@ -37,11 +34,7 @@ class DataFile:
     def addresses(self) -> tuple[str, ...]:
         """Where the file can be fetched, the best first."""
         folder, _, rest = self.path.partition("/")
-        if folder == "lcn":
-            return tuple(f"{root}/{rest}" for root in LCN_ROOTS)
-        if rest == "randhie.csv":
-            return (f"{RANDHIE_ROOT}/{rest}",)
-        return (f"{CHEMPROP_ROOT}/{rest}{'.gz' if self.path in PACKED_AT_SOURCE else ''}",)
+        return tuple(f"{root}/{rest}" for root in (LCN_ROOTS if folder == "lcn" else (RANDHIE_ROOT,)))
 
     @property
     def hashes(self) -> str:
@@ -66,12 +59,7 @@ class MoleculeSet:
 
     name: str  # as `load_dataset` takes it
     lcn_name: str  # as LCN's repository writes it
-    split_rule: Literal["scaffold", "random"]  # how LCN's parts come out of the rows of `raw`
-
-    @property
-    def raw(self) -> DataFile:
-        """SMILES and labels."""
-        return FILES[f"raw/{self.name}.csv"]
+    split_rule: Literal["scaffold", "random"]  # how LCN's parts come out of a file of SMILES
 
     @property
     def parts(self) -> dict[str, DataFile]:

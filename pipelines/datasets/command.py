@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -13,8 +12,7 @@ from rich.table import Table
 from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, files_of
 from pipelines.datasets.dataset import PARTS, Dataset
 from pipelines.datasets.download import given_folder, locate, own_folder
-from pipelines.datasets.fragments import find_fragments, write_fragments
-from pipelines.datasets.load import check_name, load_dataset, rebuild_and_keep
+from pipelines.datasets.load import check_name, load_dataset
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError, PipelineError
 
@@ -31,13 +29,11 @@ names:
 EPILOG = """\
 where files are:
   $XDG_DATA_HOME/otr, or ~/.local/share/otr. OTR_DATA_DIR=FOLDER reads FOLDER/lcn/bace_split/train.fgp2048.csv (or
-  .csv.gz) and so on instead, and fetches nothing. A file that cannot be fetched is rebuilt from SMILES where RDKit is
-  installed (pip install 'otr[molecules]'; half a minute for hiv).
+  .csv.gz) and so on instead, and fetches nothing.
 
 examples:
   otr-data bace hiv sider tox21 pdbbind
   otr-data --list
-  otr-data bace --fragments bace_fragments.csv   # needs RDKit
   OTR_DATA_DIR=iclr20-lcn/data otr-data bace"""
 
 
@@ -49,41 +45,28 @@ def main(given: Sequence[str]) -> int:
     parser.add_argument("--version", action="version", version=f"otr-data {version('otr')}")
     parser.add_argument("names", nargs="*", metavar="NAME", help="data sets, as above")
     parser.add_argument("--list", action="store_true", help="say which data sets are there; fetch nothing")
-    parser.add_argument(
-        "--rebuild", action="store_true", help="make the split files from SMILES, even if they are there"
-    )
-    parser.add_argument(
-        "--fragments", type=Path, metavar="FILE", help="write what each bit stands for in one data set's molecules"
-    )
     arguments = parser.parse_args(given)
     if not arguments.names and not arguments.list:
         parser.error(f"name data sets ({' '.join(NAMES)}) or give --list")
     try:
         for name in arguments.names:
             check_name(name)
-            if arguments.rebuild and name not in MOLECULES:
-                raise ConfigError(f"{name} cannot be rebuilt; these can: {', '.join(MOLECULES)}")
-        if arguments.fragments is not None:
-            return _write_fragments(arguments.names, arguments.fragments)
         if arguments.list:
             _list(arguments.names or NAMES)
             return 0
-        return _fetch(arguments.names, arguments.rebuild)
+        return _fetch(arguments.names)
     except ConfigError as error:
         print(f"otr-data: {error}", file=sys.stderr)
         return EXIT_USAGE
 
 
-def _fetch(names: Sequence[str], rebuild: bool) -> int:
+def _fetch(names: Sequence[str]) -> int:
     table = Table(caption="train/valid/test; shares are of the measured labels", caption_justify="left")
     for heading in ("data set", "rows", "labels", "share of ones", "hash"):
         table.add_column(heading, justify="left" if heading in ("data set", "hash") else "right", no_wrap=True)
     places, failures = [], []
     for name in dict.fromkeys(names):
         try:
-            if rebuild:
-                rebuild_and_keep(MOLECULES[name])
-                print(f"{name}: rebuilt in {own_folder()}, byte for byte LCN's files", flush=True)
             dataset = load_dataset(name)
         except PipelineError as error:
             failures.append(f"{name}: {error}")
@@ -97,20 +80,6 @@ def _fetch(names: Sequence[str], rebuild: bool) -> int:
     for failure in failures:
         print(f"otr-data: {failure}", file=sys.stderr)
     return EXIT_FAILED if failures else 0
-
-
-def _write_fragments(names: Sequence[str], path: Path) -> int:
-    if len(names) != 1 or names[0] not in MOLECULES:
-        raise ConfigError(f"--fragments wants one of {', '.join(MOLECULES)}, got {', '.join(names) or 'none'}")
-    try:
-        fragments = find_fragments(MOLECULES[names[0]])
-        write_fragments(fragments, path)
-    except PipelineError as error:
-        print(f"otr-data: {names[0]}: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    n_set = sum(row.n_molecules > 0 for row in fragments)
-    print(f"{names[0]}: fragments of {n_set:,} bits, of {len(fragments):,}, in {path}")
-    return 0
 
 
 def _list(names: Sequence[str]) -> None:

@@ -21,7 +21,6 @@ from pipelines.errors import ConfigError, MissingInputError, PipelineError
 
 TIMEOUT_S = 30.0  # without a byte from the server
 LARGEST_BYTES = 2**31  # of a file whose size is not known
-CHUNK_BYTES = 2**16
 BROKEN_GZIP = (EOFError, gzip.BadGzipFile, zlib.error)
 
 
@@ -121,13 +120,11 @@ def _fetch(file: DataFile) -> bytes:
     for address in file.addresses:
         try:
             content = _receive(address, file.n_bytes or LARGEST_BYTES)
-            if address.endswith(".gz") and not file.path.endswith(".gz"):
-                content = gunzip(content, file.n_bytes or LARGEST_BYTES)
             difference = file.difference(content)
         except urllib.error.HTTPError as error:
             failures.append(f"{address}: {error.code} {error.reason}")
             continue
-        except (OSError, http.client.HTTPException, *BROKEN_GZIP) as error:
+        except (OSError, http.client.HTTPException) as error:
             failures.append(f"{address}: {getattr(error, 'reason', None) or error or type(error).__name__}")
             if isinstance(error, urllib.error.URLError):
                 break  # no way to that server: the other address is on it, too
@@ -149,12 +146,9 @@ def _receive(address: str, limit: int) -> bytes:
     with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
         due = response.length or 0
         print(f"fetching {address}" + (f", {due / 1e6:.3g} MB" if due else ""), file=sys.stderr, flush=True)
-        chunks, n_bytes = [], 0
-        while chunk := response.read(CHUNK_BYTES):
-            chunks.append(chunk)
-            n_bytes += len(chunk)
-            if n_bytes > limit:
-                raise OSError(f"more than the {limit:,} bytes that it may have")
-    if n_bytes < due:
-        raise OSError(f"the connection ended after {n_bytes:,} of {due:,} bytes")
-    return b"".join(chunks)
+        content: bytes = response.read(limit + 1)
+    if len(content) > limit:
+        raise OSError(f"more than the {limit:,} bytes that it may have")
+    if len(content) < due:
+        raise OSError(f"the connection ended after {len(content):,} of {due:,} bytes")
+    return content

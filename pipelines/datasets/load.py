@@ -1,26 +1,22 @@
 """`load_dataset`: the data sets of the catalogue."""
 
-import sys
-
 import numpy as np
 
 from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, MoleculeSet
 from pipelines.datasets.dataset import Dataset, Part
-from pipelines.datasets.download import keep, locate, read
+from pipelines.datasets.download import locate, read
 from pipelines.datasets.examples import load_example
 from pipelines.datasets.molecules import FEATURE_NAMES, parse_split
 from pipelines.datasets.pdbbind import load_pdbbind
 from pipelines.datasets.randhie import load_randhie
-from pipelines.datasets.rebuild import can_rebuild, rebuild
-from pipelines.datasets.scaffolds import scaffolds_by_part
-from pipelines.datasets.splits import shuffled_scaffold_split
-from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
+from pipelines.datasets.splits import scaffolds_by_part, shuffled_scaffold_split
+from pipelines.errors import ConfigError, MissingInputError, did_you_mean
 
 OWN_FORM = {"pdbbind": load_pdbbind, "randhie": load_randhie}  # files that are no fingerprints
 
 
 def load_dataset(name: str, split: int | None = None) -> Dataset:
-    """Return a data set of NAMES, fetching it or rebuilding it from SMILES where it is not on this machine yet.
+    """Return a data set of NAMES, fetching it where it is not on this machine yet.
 
     Args:
         name: of the data set.
@@ -57,14 +53,6 @@ def check_split(name: str, split: int | None) -> None:
         raise ConfigError(f"{name} has no scaffolds to split it by; those with scaffolds are {', '.join(MOLECULES)}")
 
 
-def rebuild_and_keep(entry: MoleculeSet) -> dict[str, bytes]:
-    """Make a data set's split files from SMILES, keep them in the user's data folder and return their content."""
-    contents = rebuild(entry)
-    for part, file in entry.parts.items():
-        keep(file, contents[part])
-    return contents
-
-
 def _load_molecules(entry: MoleculeSet) -> Dataset:
     parts, label_names, scaffolds = {}, {}, scaffolds_by_part(entry)
     for part, content in _contents(entry).items():
@@ -79,12 +67,4 @@ def _contents(entry: MoleculeSet) -> dict[str, bytes]:
     except MissingInputError as error:
         missing = [file for file in entry.parts.values() if locate(file) is None]
         others = "".join(f"\nLikewise missing: {file.path} ({file.hashes})" for file in missing[1:])
-        if not can_rebuild():
-            raise MissingInputError(
-                f"{error}{others}\nOr pip install 'otr[molecules]' to make them from {entry.raw.addresses[0]}"
-            ) from error
-        print(f"{error}\nrebuilding {entry.name} from SMILES instead", file=sys.stderr, flush=True)
-        try:
-            return rebuild_and_keep(entry)
-        except PipelineError as second:
-            raise MissingInputError(f"{error}{others}\nNor can they be made from SMILES: {second}") from second
+        raise MissingInputError(f"{error}{others}") from error

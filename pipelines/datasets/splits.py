@@ -1,8 +1,32 @@
-"""The rules that parts and folds follow; the row order within a part is the rule's."""
+"""The rules that parts follow; the row order within a part is the rule's.
 
+`scaffolds.safetensors` has an array for every data set of molecules, a number for each row of its file of SMILES (as of
+January 2019, github.com/chemprop/chemprop, a68ade20): rows with the same number have the same Murcko scaffold (Bemis &
+Murcko 1996, without chirality) in RDKit 2026.9.1, numbered as they are met.
+"""
+
+import functools
 from collections.abc import Hashable, Sequence
+from importlib import resources
 
 import numpy as np
+from safetensors.numpy import load
+
+from pipelines.datasets.catalogue import MoleculeSet
+
+
+@functools.lru_cache
+def scaffolds_of(name: str) -> np.ndarray:
+    """Return the scaffold's number of each row of a data set's file of SMILES, (n,) int64."""
+    content = resources.files("pipelines.datasets").joinpath("scaffolds.safetensors").read_bytes()
+    return np.asarray(load(content)[name], dtype=np.int64)
+
+
+def scaffolds_by_part(entry: MoleculeSet) -> dict[str, np.ndarray]:
+    """Return the scaffold's number of each row of a data set's parts, as LCN split them."""
+    scaffolds = scaffolds_of(entry.name)
+    rows = scaffold_split(scaffolds.tolist()) if entry.split_rule == "scaffold" else random_split(len(scaffolds))
+    return {part: scaffolds[of_part] for part, of_part in rows.items()}
 
 
 def random_split(n_rows: int) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """Results of stages as they are kept: a folder with a manifest, or the archive of a finished run.
 
-The archive, `stages.tar.xz`, holds the stages and the configuration of a run, next to its summary. Files that are made
-again in seconds are left out; the manifests keep their sha256. JSON and CSV files are read from where they are
+The archive, `stages.tar.xz`, holds the stages and the configuration of a run, and of a fit its summary. Files that are
+made again in seconds are left out; the manifests keep their sha256. JSON and CSV files are read from where they are
 (`store.read_bytes`); `opened` gives stages' folders with all their files.
 """
 
@@ -21,6 +21,7 @@ from pipelines.engine.digests import digest
 from pipelines.engine.store import (
     ARCHIVE,
     CONFIG,
+    SUMMARY,
     archive_files,
     corrupt,
     exists,
@@ -101,8 +102,9 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
                 shutil.copytree(path, whole / path.name)
             elif path.is_file() and path.name != ARCHIVE:
                 shutil.copyfile(path, whole / path.name)
-        if not (whole / CONFIG).exists() and exists(run_dir / CONFIG):
-            (whole / CONFIG).write_bytes(read_bytes(run_dir / CONFIG))
+        for name in (CONFIG, SUMMARY):
+            if not (whole / name).exists() and exists(run_dir / name):
+                (whole / name).write_bytes(read_bytes(run_dir / name))
         for name, files in packed.items():
             (whole / name).mkdir()
             write_files(files, whole / name)
@@ -169,8 +171,10 @@ def _not_as_recorded(run_dir: Path, stage: str, name: str, what: str, manifest: 
     )
 
 
-def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = ()) -> None:
-    """Put the finished stages and the configuration of a run into its archive, read that back, and remove the files.
+def pack(
+    run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (), of_run: Collection[str] = (CONFIG,)
+) -> None:
+    """Put the finished stages and some files of a run into its archive, read that back, and remove the files.
 
     The same stages give the same archive. What is in the archive already stays there, unless the stage's folder
     exists, too. The configuration no longer names the folder of results, which was one of this machine.
@@ -179,26 +183,28 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         run_dir: the run's folder.
         derive: makes again what is left out; only what it makes again byte for byte is.
         leave: stages whose folders stay.
+        of_run: the files of the run itself that go into the archive, too.
 
     Raises:
         PipelineError: a file was changed since it was written.
     """
     there = {path.parent.name for path in run_dir.glob(f"[!.]*/{MANIFEST}")}.difference(leave)
-    has_config = (run_dir / CONFIG).is_file()
-    if not there and not (has_config and archive_files(run_dir)):
+    loose = {name: (run_dir / name).read_bytes() for name in of_run if (run_dir / name).is_file()}
+    if not there and not (loose and archive_files(run_dir)):
         return
+    if CONFIG in loose:
+        loose[CONFIG] = re.sub(rb"(?m)^results_dir: .*$", b"results_dir: results", loose[CONFIG])
     packed = {name: content for name, content in archive_files(run_dir).items() if name.partition("/")[0] not in there}
     for stage in {name.partition("/")[0] for name in packed if "/" in name}:
         verified_manifest(run_dir / stage)
     kept = {stage: _kept(run_dir, run_dir / stage, derive) for stage in there}
-    files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
-    if has_config:
-        files[CONFIG] = re.sub(rb"(?m)^results_dir: .*$", b"results_dir: results", (run_dir / CONFIG).read_bytes())
+    files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()} | loose
     with replacing(run_dir / ARCHIVE) as temporary:
         _write_archive(temporary, files)
     if archive_files(run_dir) != files:
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
-    (run_dir / CONFIG).unlink(missing_ok=True)
+    for name in loose:
+        (run_dir / name).unlink()
     for name in there:
         gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that half a folder is never visible
         shutil.rmtree(gone)

@@ -18,7 +18,7 @@ from otr import OtrError
 from pipelines.engine.archive import MANIFEST, Derive, verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
-from pipelines.engine.store import CONFIG, archive_files, exists, read_json, write_json, write_text
+from pipelines.engine.store import CONFIG, SUMMARY, archive_files, exists, read_json, write_json, write_text
 from pipelines.errors import PipelineError
 
 # Where code is that is not a user's: these packages, Python's and what pip installs.
@@ -98,7 +98,7 @@ def _has_finished_a_stage(job: Job) -> bool:
 
 def write_summary(job: Job, summary: dict[str, Any]) -> None:
     """Write the summary of a finished job; remove the error of an earlier attempt."""
-    write_json(job.run_dir / "summary.json", summary)
+    write_json(job.run_dir / SUMMARY, summary)
     (job.run_dir / "error.log").unlink(missing_ok=True)
 
 
@@ -114,7 +114,7 @@ def failure(do: Callable[[J], Any], job: J) -> Exception | None:
 def has_summary(job: Job) -> bool:
     """Return whether a job has its summary, whole, if it comes to the stage after which that is written."""
     try:
-        return not job.ends or "seconds" in read_json(job.run_dir / "summary.json")
+        return not job.ends or "seconds" in read_json(job.run_dir / SUMMARY)
     except PipelineError:
         return False
 
@@ -127,7 +127,7 @@ def is_done(job: Job) -> bool:
     gone = {stage.name for stage in job.stages if _is_gone(job, stage)}
     left = [stage for stage in job.stages if stage.name not in gone]
     try:
-        if ends and not {stage.name for stage in left} <= read_json(job.run_dir / "summary.json")["seconds"].keys():
+        if ends and not {stage.name for stage in left} <= read_json(job.run_dir / SUMMARY)["seconds"].keys():
             return False  # a single stage was added since, as by stages=[polish]
         return all(_is_stage_done(job, stage, gone) for stage in left)
     except PipelineError:  # damaged: doing the job reports what is wrong

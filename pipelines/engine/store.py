@@ -1,7 +1,7 @@
 """Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere.
 
 What belongs in the folder of a run's stage, `<run>/<stage>/<file>`, may be in the run's archive instead, in
-`<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there; so may `<run>/config.yaml`.
+`<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there; so may `<run>/config.yaml` and `<run>/summary.json`.
 """
 
 import csv
@@ -20,9 +20,9 @@ from typing import Any
 from pipelines.errors import PipelineError
 
 ARCHIVE = "stages.tar.xz"
-CONFIG = "config.yaml"
+CONFIG, SUMMARY = "config.yaml", "summary.json"
 LARGEST_ARCHIVE_BYTES = 2**28  # unpacked
-REWRITTEN = ("summary.json", CONFIG)  # made again by the run's command, from the finished stages
+REWRITTEN = (SUMMARY, CONFIG)  # made again by the run's command, from the finished stages
 
 
 @contextmanager
@@ -83,8 +83,8 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[s
 
 def read_summary(run_dir: Path) -> dict[str, Any]:
     """Return the summary of a run or fit, empty where it has none yet; raises as `read_json` does."""
-    path = run_dir / "summary.json"
-    return dict(read_json(path)) if path.is_file() else {}
+    path = run_dir / SUMMARY
+    return dict(read_json(path)) if exists(path) else {}
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -102,12 +102,12 @@ def write_files(files: Mapping[str, bytes], folder: Path) -> None:
 
 
 def exists(path: Path) -> bool:
-    """Return whether there is a stage's file, or a run's configuration, in its folder or packed."""
+    """Return whether there is a stage's file, a run's configuration or its summary, in its folder or packed."""
     return path.is_file() or bool(packed_files(path.parent, path.name)) or path.name in archive_files(path.parent)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a stage's file, or of a run's configuration, from its folder or packed.
+    """Return the content of a stage's file, a run's configuration or its summary, from its folder or packed.
 
     Raises:
         FileNotFoundError: it is in neither.
@@ -133,7 +133,7 @@ def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
 
 
 def archive_files(run_dir: Path) -> Mapping[str, bytes]:
-    """Return the files of a run's archive, `<stage>/<file>` and its configuration; none where there is no archive."""
+    """Return the files of a run's archive, `<stage>/<file>` and those of the run; none where there is no archive."""
     archive = run_dir / ARCHIVE
     if not archive.is_file():
         return {}

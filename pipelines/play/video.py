@@ -31,16 +31,15 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 MOST_FRAMES, FRAMES_A_SECOND = 250, 25
-WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, below it, and right of it
+WIDTH, TEXT, BAND = 480, 13, 42  # pixels: of a picture, of letters, and below it
 COLOURS = 96
 
 
 def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> dict[str, Any]:
     """Play the episode that starts from `reset(seed)`, write it in real time as a GIF, and return what it shows.
 
-    It has at most MOST_FRAMES frames: in a long episode each covers more steps, and so more time.
-    The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
-    that acts: those of `otr.to_svg`, but that of several actions the first colours it.
+    It has at most MOST_FRAMES frames: in a long episode each covers more steps, and so more time. Below the picture is
+    the leaf that acts, in its colour of `otr.to_svg`, but that of several actions the first colours it.
 
     Raises:
         PipelineError: the environment cannot be rendered here; says what to do.
@@ -138,16 +137,13 @@ def _frame(
 
     picture = Image.fromarray(shown.astype(np.uint8))
     height = round(picture.height * WIDTH / picture.width)
-    frame = Image.new("RGB", (WIDTH + STRIP + 16, height + BAND), "#ffffff")
+    frame = Image.new("RGB", (WIDTH, height + BAND), "#ffffff")
     frame.paste(picture.resize((WIDTH, height)), (0, 0))
     draw, font = ImageDraw.Draw(frame), ImageFont.load_default(TEXT)
-    colour = _colour(tree, answer)
-    draw.rectangle((0, height, WIDTH, height + BAND), fill="#ffffff")
-    draw.rectangle((6, height + 6, 18, height + BAND - 6), fill=colour, outline="#7b8794")
+    draw.rectangle((6, height + 6, 18, height + BAND - 6), fill=_colour(tree, answer), outline="#7b8794")
     does = f"leaf {leaf + 1} of {tree.n_leaves:,}: {_in_words(answer, names)}"
     draw.text((26, height + 4), _fitting(does, font), fill="#1a1a1a", font=font)
     draw.text((26, height + 21), f"step {step:,}, return {total:.1f}", fill="#5b6570", font=font)
-    _draw_strip(draw, tree, leaf, colour, height + BAND)
     return frame.quantize(COLOURS, dither=Dither.NONE)
 
 
@@ -172,13 +168,3 @@ def _colour(tree: otr.ObliqueTree, answer: np.ndarray) -> str:
     limits = tree.head.limits(tree.n_outputs)
     low, high = (-1.0, 1.0) if limits is None else (float(limits[0][0]), float(limits[1][0]))
     return level_colour((float(answer[0]) - (low + high) / 2) / ((high - low) / 2))
-
-
-def _draw_strip(draw: Any, tree: otr.ObliqueTree, leaf: int, colour: str, height: int) -> None:
-    """Draw the leaves from top to bottom: those with labels in their colours, the one that acts in its own."""
-    edges = np.linspace(4, height - 4, tree.n_leaves + 1)
-    for i in range(tree.n_leaves):
-        fill = "#e9ecef" if tree.labels is None else label_colours(int(tree.labels[i]))[1]
-        draw.rectangle((WIDTH + 11, edges[i], WIDTH + 11 + STRIP, edges[i + 1]), fill=colour if i == leaf else fill)
-    middle = (edges[leaf] + edges[leaf + 1]) / 2
-    draw.polygon([(WIDTH + 10, middle), (WIDTH + 3, middle - 5), (WIDTH + 3, middle + 5)], fill="#1a1a1a")

@@ -13,7 +13,7 @@ import pandas as pd
 
 from pipelines.config.run import RunConfig
 from pipelines.engine.digests import flat
-from pipelines.engine.store import corrupt, read_json
+from pipelines.engine.store import SUMMARY, corrupt, exists, read_json
 from pipelines.errors import PipelineError
 from pipelines.supervised.config import FitConfig
 
@@ -56,8 +56,9 @@ def load_fits(results_dir: str | Path) -> pd.DataFrame:
     """Return the finished fits under `results_dir`, a row each, by data, method, split, seed; raises as `load_runs`."""
     rows: list[dict[str, Any]] = []
     for where in ("seed-*", "split-*/seed-*"):
-        for path in sorted(Path(results_dir).glob(f"runs/*/*/{where}/summary.json")):
-            rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - NOT_OF_EVERY_FIT)
+        for path in sorted(each / SUMMARY for each in Path(results_dir).glob(f"runs/*/*/{where}")):
+            if exists(path):
+                rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - NOT_OF_EVERY_FIT)
     order = sorted(rows, key=lambda row: (row["data"], row["method"], row.get("split", -1), row["seed"]))
     return _frame(order, FIT_COLUMNS)
 

@@ -1,16 +1,17 @@
 """The reports that `otr-tabulate` writes from finished runs and fits: tables, figures, and all runs or fits as CSV."""
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.store import SUMMARY, exists
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
 from pipelines.report.comparisons import write_comparisons
-from pipelines.report.figures.figure_4_6 import Planned, budget_of_runs, write_figure_4_6
+from pipelines.report.figures.figure_4_6 import budget_of_runs, write_figure_4_6
 from pipelines.report.figures.figure_4_7 import write_figure_4_7
 from pipelines.report.figures.performance_profile import write_performance_profile
 from pipelines.report.frames import load_fits, load_runs
@@ -40,11 +41,7 @@ def reports_of(asked: str) -> tuple[str, ...]:
 
 
 def write_report(
-    name: str,
-    results_dir: Path,
-    budget: str | None,
-    plan: Callable[[str], Sequence[Planned]],
-    load_config: Callable[[Path], RunConfig],
+    name: str, results_dir: Path, budget: str | None, load_config: Callable[[Path], RunConfig]
 ) -> list[Path]:
     """Write a report under `results_dir/tables` or `results_dir/figures`; the same runs give the same bytes.
 
@@ -52,7 +49,6 @@ def write_report(
         name: of the report, as `reports_of` returns it.
         results_dir: the folder that holds `runs`; a table of runs that are not there says "not run".
         budget: whose runs a figure shows; None for the thesis's if there are any, else quick.
-        plan: from a budget to the runs of the experiment that figures show.
         load_config: from a run's folder to the configuration that it was made with.
 
     Returns:
@@ -69,8 +65,8 @@ def write_report(
         return write_performance_profile(results_dir, runs)
     budget = budget or budget_of_runs(runs)
     if name == "4.6":
-        return write_figure_4_6(runs, plan(budget), budget, results_dir)
-    return write_figure_4_7(runs, plan(budget), load_config, results_dir)
+        return write_figure_4_6(runs, budget, results_dir)
+    return write_figure_4_7(runs, budget, load_config, results_dir)
 
 
 def write_runs(results_dir: Path) -> list[Path]:
@@ -96,7 +92,7 @@ TABLES: dict[str, Callable[[Path], list[Path]]] = {
 def _write_frame(results_dir: Path, name: str, frame: pd.DataFrame, *folders: str) -> list[Path]:
     """Write a frame, what its columns are, and which folders have no row."""
     found = sorted(path for pattern in folders for path in results_dir.glob(pattern))
-    left_out = [path for path in found if not (path / "summary.json").is_file()]
+    left_out = [path for path in found if not exists(path / SUMMARY)]
     named = ", ".join(str(path.relative_to(results_dir / "runs")) for path in left_out) or "none"
     markdown = page(f"{name}.md", n_rows=len(frame), n_folders=frame["run"].nunique(), left_out=named)
     return write_tables(results_dir, name, frame, markdown)

@@ -1,8 +1,6 @@
 """The command with which a tree that people can read imitates a policy whose own tree is too large to read."""
 
-import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from pipelines.config.methods import TakesModel
@@ -19,11 +17,7 @@ def imitating_command(config: RunConfig, overrides: Sequence[str] = ()) -> str:
     """Return the command that makes a tree which imitates the policy that a run of these overrides imports."""
     method, env = config.method, config.env
     assert isinstance(method, TakesModel)
-    folders = re.findall(
-        "file://([^']+)'", " ".join(each for each in overrides if each.startswith("hydra.searchpath="))
-    )
-    own = [folder for folder in folders if (Path(folder) / "env" / f"{env.name}.yaml").is_file()]
-    words = [f"env={env.name}", "--config-dir", own[0]] if own else [f"env={env.id}"]
+    words = [f"env={env.id}"]
     words += [f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items()]
     words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
     given = {"normalise": method.normalise, "output": method.output}

@@ -1,7 +1,7 @@
 """What is proved of a policy: a run's certificate, checked again without a solver, and a program compared."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 import otr
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings
+from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings, results_folder
 from pipelines.config.stages import Side
 from pipelines.engine.archive import opened
 from pipelines.engine.store import exists, read_json
@@ -17,7 +17,7 @@ from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, box_in_words, given_box
 from pipelines.play.spaces import action_names, feature_names, state_limits
-from pipelines.runs.finished_run import command_of, visited_states
+from pipelines.runs.finished_run import command_of, tree_of, visited_states
 from pipelines.runs.questions import Answer, answer_in_words, bound_text, in_words, labels_but, number_of
 from pipelines.stages.certify import GIVEN, MARGIN
 
@@ -28,19 +28,19 @@ MAX_DIFFERENCE = 1e-6
 class VerifyConfig:
     """What `otr-verify` takes; None is the run's own."""
 
-    run: FreeText
-    program: FreeText | None
-    env: FreeText | None
-    always: FreeText | None
-    range: bool
-    box: list[Side] | None
-    max_difference: NotNegative | None
-    max_seconds: NotNegative | None
-    certificate: FreeText | None
-    tree: FreeText | None
-    actor: FreeText | None
-    results_dir: Folder
-    debug: bool
+    run: FreeText = ""
+    program: FreeText | None = None  # compared with the run's network or with `tree`, or asked about
+    env: FreeText | None = None  # the program's, where no run is named
+    always: FreeText | None = None
+    range: bool = False
+    box: list[Side] | None = None
+    max_difference: NotNegative | None = None
+    max_seconds: NotNegative | None = None
+    certificate: FreeText | None = None
+    tree: FreeText | None = None
+    actor: FreeText | None = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -65,6 +65,8 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         )  # fmt: skip
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
+        if isinstance(certificate, otr.FixedPointCertificate):
+            return _verify_fixed_point(config, run, folder, certificate)
         tree = otr.load(config.tree or whole / "certify" / "tree")
     limits, domain = wanted_box(run), certificate.domain
     if limits and not ((domain.low <= limits[0].low).all() and (domain.high >= limits[0].high).all()):
@@ -82,6 +84,27 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         f"verified: {leaves}, {regions} of the network; on {whose}, {_named(domain, run.env)}, at every real point (in "
         f"rational arithmetic), tree and network {_alike(bound, tree)}"
     )
+
+
+def _verify_fixed_point(
+    config: VerifyConfig, run: RunConfig, folder: Path, certificate: otr.FixedPointCertificate
+) -> str:
+    """Check a certificate of a tree in fixed point and a run's network or pruned tree, and return what it proves."""
+    fixed = otr.load(config.tree) if config.tree else None
+    if not isinstance(fixed, otr.FixedPointTree):
+        raise ConfigError(
+            f"tree={config.tree}: {config.certificate} is of a FixedPointTree; add tree=FILE, written by otr.save"
+        )
+    is_of_network = certificate.margins is None
+    actor = Path(config.actor or folder / certified_stage(run, folder))
+    bound = otr.verify(certificate, fixed, load_actor(actor) if is_of_network else tree_of("pruned", run, folder))
+    where = f"on the box {_named(certificate.box, run.env)}, at every real point (in rational arithmetic)"
+    whose = "the network" if is_of_network else "the pruned tree, but nearer to its tests than their margins,"
+    if fixed.head.gives_labels:
+        return (
+            f"verified: {where}, the integers' label is that of {whose} where its lead is above {bound_text(bound, 3)}"
+        )
+    return f"verified: {where}, what the integers answer and {whose} differ by at most {bound_text(bound, 3)}"
 
 
 def certified_stage(run: RunConfig, folder: Path) -> str:

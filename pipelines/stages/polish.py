@@ -12,13 +12,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 import otr
-from otr.control.search.policy_numbers import policy_numbers
-from otr.control.search.polish import Episodes, PolishReport, best_confirmed
+from otr.control.search.polish import PolishReport
 from pipelines.config.method import MethodConfig
 from pipelines.config.stages import MapConfig, PolishingConfig
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import duration
-from pipelines.engine.seeding import episode_seeds, stream_seed
+from pipelines.engine.seeding import episode_seeds, stream_seed, stream_seeds
 from pipelines.engine.stage import Inputs, Stage, part_of, picked
 from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
 from pipelines.errors import ConfigError
@@ -34,7 +33,7 @@ from pipelines.play.episodes import (
     playing_seconds,
 )
 from pipelines.play.printed_programs import and_names, write_program
-from pipelines.play.vector_envs import check_environments, fastest_environments
+from pipelines.play.vector_envs import check_environments, fastest_environments, make_vector_env
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.map import MapSettings, map_actor
 from pipelines.stages.prune import PruneSettings, load_tree, prune
@@ -45,6 +44,7 @@ Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 ANNOUNCE_S = 10.0
 LONG_POLISH_S = 60.0
 UPDATES_PER_S = 250.0  # of a small actor and its critics, a step of the environment each
+LEARNING_ELEMENT = 2  # of the stream "polish"; 0 and 1 are those of searches
 CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
 
 
@@ -157,24 +157,24 @@ def improve_by_critic(policy: Any, settings: PolishStageSettings) -> Polished:
         PipelineError: there are no critics.
         ConfigError: critics improve no policy of this head.
     """
-    from pipelines.training.critic_polish.learner import CriticPolish  # imports torch
+    from otr.control.critic_polish.learner import polish_by_critics  # imports torch
 
     polishing, account, folder = settings.polishing, _Account("polish"), critics_folder(settings)
-    critics = load_critics(folder)
-    where, tied = environments(settings), settings.method.ties_repeats
+    critics, where = load_critics(folder), environments(settings)
+    if not isinstance(policy.head, otr.ClipBox | otr.TanhBox):
+        raise ConfigError(
+            f"polishing.by=critic improves policies whose actions tanh or a clip leads into their box, not "
+            f"{type(policy.head).__name__}; use polishing.by=search"
+        )
     oracle = load_oracle_network(folder) if exists(folder / "actor.json") else None
-    with (
-        closing(Player(settings.env, where)) as player,
-        closing(
-            CriticPolish(policy, polishing, settings.env, where, critics, oracle, tied=tied, seed=settings.seed)
-        ) as learning,
-    ):
-        play = Episodes(player.returns, stream_seed(settings.seed, "polish", 0))
-        spread = np.zeros((1, policy.n_inputs))
-        numbers = policy_numbers(policy, spread, free=polishing.free, tied=tied)
-        start = PolishReport(numbers.start.size, polishing.critic.steps, 0, ())
-        n_selection = polishing.n_selection_episodes
-        polished = best_confirmed(policy, learning.candidates(), play, start, n_selection, account.announce)
+    with closing(Player(settings.env, where)) as player, closing(make_vector_env(settings.env, where)) as envs:
+        polished = polish_by_critics(
+            policy, player.returns, envs, critics, oracle,
+            seeds=stream_seeds(3, settings.seed, "polish", LEARNING_ELEMENT), settings=polishing.critic,
+            n_selection_episodes=polishing.n_selection_episodes, n_candidates=polishing.n_candidates,
+            free=polishing.free, tied=settings.method.ties_repeats, seed=stream_seed(settings.seed, "polish", 0),
+            report=account.announce, say=lambda text: print(f"polish: {text}", flush=True),
+        )  # fmt: skip
     critic = polishing.critic
     account.n_steps = player.n_steps + critic.refill_steps + critic.steps
     own = {"n_refill_steps": critic.refill_steps, "n_learning_steps": critic.steps}

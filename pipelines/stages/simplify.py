@@ -17,6 +17,7 @@ from pipelines.config.stages import SimplificationConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
+from pipelines.play.boxes import box_around
 from pipelines.play.episodes import Rollout, moments, play_evaluation, play_seeds
 from pipelines.play.printed_programs import and_names, write_picture, write_program
 from pipelines.play.spaces import spaces, state_limits
@@ -54,7 +55,7 @@ def simplify(inputs: Inputs, settings: SimplifySettings, out: Path) -> None:
     states = judge.played.states
     again: dict[str, Any] = {}
     if settings.simplification.action_bound is not None:
-        box = state_limits(settings.env) or _box_around(states)
+        box = state_limits(settings.env) or box_around(states, 0.0)
         allows: Judge = otr.within(tree, box, settings.simplification.action_bound)
         simpler, n_attempts = otr.simplify(tree, allows, states, refit=settings.simplification.refit), 1
     else:
@@ -162,11 +163,6 @@ class _Judge:
 
 def _standard_error(values: np.ndarray) -> float:
     return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
-
-
-def _box_around(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    margin = np.finfo(np.float32).eps * np.maximum(1.0, np.abs(states).max(axis=0))
-    return states.min(axis=0) - margin, states.max(axis=0) + margin
 
 
 def _report(

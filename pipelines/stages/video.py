@@ -18,4 +18,4 @@ def video(inputs: Inputs, settings: PlaysEvaluation, out: Path) -> None:
 
 
 VIDEO_KEYS = picked(env="env", first_seed="evaluate.first_seed")
-VIDEO = Stage("video", version=1, inputs=("prune",), keyed=VIDEO_KEYS, run=video, settings=PlaysEvaluation)
+VIDEO = Stage("video", version=2, inputs=("prune",), keyed=VIDEO_KEYS, run=video, settings=PlaysEvaluation)

@@ -33,7 +33,7 @@ from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "teacher", "score")
-TABLE = "table"  # what conf/fit/data calls a table whose file is not named yet
+TABLE = "table"  # the data set's name of a table whose file is not named yet
 BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 
@@ -87,8 +87,8 @@ class TaughtConfig(ClassifierConfig):
 class LinearConfig(TaughtConfig):
     """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 by default."""
 
-    C: Positive = 0.1
-    alpha: NotNegative = 1.0
+    C: Positive = 0.1  # of logistic regression
+    alpha: NotNegative = 1.0  # of ridge regression, on standardised targets
     max_depth: Annotated[int, Range(0), AsBefore(0)] = 0
 
 
@@ -118,6 +118,7 @@ class TaoConfig(TaughtConfig):
     C: Positive = 1.0
     max_iter: Annotated[int, Range(0)] = 14
     tol: Annotated[float, Range()] = 0.005
+    # Shares of the training rows rank better than labels
     leaf_values: Annotated[str, OneOf("shares", "labels"), AsBefore("shares")] = "shares"
 
 
@@ -128,14 +129,7 @@ class FirstLayerTreeConfig(ClassifierConfig):
     max_depth: Count | None = None
     min_samples_leaf: Count = 1
     include_inputs: bool = True
-    hidden: list[Width] = field(default_factory=lambda: [8, 8])
-
-
-@dataclass(frozen=True)
-class ModelTreeConfig(LearnerConfig):
-    """The same with the depth tuned."""
-
-    max_depth: Annotated[int, Range(0)] = 5
+    hidden: list[Width] = field(default_factory=lambda: [8, 8])  # of the network
 
 
 @dataclass(frozen=True)
@@ -143,11 +137,11 @@ class LcnConfig(ClassifierConfig):
     """`LCNClassifier` and `LCNRegressor`."""
 
     depth: Count = 6
-    hidden: Annotated[int, Range(0)] = 0
+    hidden: Annotated[int, Range(0)] = 0  # width of g's hidden layer; 0 for a linear g
     drop_connect: BelowOne = 0.0
     epochs: Count = 30
     batch_size: Count = 64
-    learning_rate: Positive = 0.1
+    learning_rate: Positive = 0.1  # times 0.1 every `decay_every` epochs
     momentum: Share = 0.9
     decay_every: Count = 10
 
@@ -157,21 +151,22 @@ class OtrConfig(ClassifierConfig):
     """`OTRClassifier` and `OTRRegressor`."""
 
     hidden: list[Width] = field(default_factory=lambda: [8, 8])
+    # input: every layer reads the inputs; all: and every layer before it
     dense: Annotated[str, OneOf("none", "input", "all")] = "none"
     negative_slope: BelowOne = 0.0
-    shared: bool = False
+    shared: bool = False  # whether the labels share their hidden layers in training
     input_dropout: BelowOne = 0.0
     hidden_dropout: BelowOne = 0.0
     l1: NotNegative = 0.0
     l2: NotNegative = 0.0
-    drop_below: NotNegative = 0.0
-    averaging: BelowOne = 0.0
-    common_epoch: bool = False
+    drop_below: NotNegative = 0.0  # weights smaller than this are zero after training
+    averaging: BelowOne = 0.0  # of the weights, decay of the moving average by step
+    common_epoch: bool = False  # whether one epoch is kept for all labels
     teacher: dict[str, Any] | None = None  # settings of `otr.learners.distillation.Teacher`
     keep: Annotated[str, OneOf("best", "last")] = "best"  # the best epoch by validation score
     epochs: Count = 30
     batch_size: Count = 64
-    learning_rate: Positive = 0.1
+    learning_rate: Positive = 0.1  # times 0.1 every `decay_every` epochs
     momentum: Share = 0.9
     decay_every: Count = 10
     loss: Annotated[str, OneOf("squared_error", "poisson"), AsBefore("squared_error")] = (
@@ -186,7 +181,6 @@ LEARNERS: dict[str, type[LearnerConfig]] = {
     "hhcart": HhcartConfig,
     "tao": TaoConfig,
     "augtree": FirstLayerTreeConfig,
-    "model_tree": ModelTreeConfig,
     "lcn": LcnConfig,
     "otr": OtrConfig,
 }

@@ -9,7 +9,7 @@ from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.digests import digest
 from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, is_done, write_summary
 from pipelines.engine.stage import Stage, run_stage, run_stage_together
-from pipelines.engine.store import exists, read_json
+from pipelines.engine.store import SUMMARY, exists, read_json
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.fit import FIT
 from pipelines.supervised.learners import BATCHED
@@ -60,7 +60,7 @@ def fit_job(job: FitJob) -> dict[str, Any] | None:
             _run_stages(job)
     if job.stages[-1].name != job.ends_with:
         return None
-    summary: dict[str, Any] = read_json(job.run_dir / "summary.json")
+    summary: dict[str, Any] = read_json(job.run_dir / SUMMARY)
     show_fit(summary, job.run_dir)
     return summary
 

@@ -32,7 +32,6 @@ ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classif
     "hhcart": ("HHCARTClassifier", "HHCARTRegressor"),
     "tao": ("TAOClassifier", None),
     "augtree": ("AugTreeClassifier", "AugTreeRegressor"),
-    "model_tree": ("LinearTreeClassifier", "LinearTreeRegressor"),
     "lcn": ("LCNClassifier", "LCNRegressor"),
     "otr": ("OTRClassifier", "OTRRegressor"),
 }

@@ -38,6 +38,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
     for i, described in enumerate(trees):
         label = described["label"]
         whole = otr.load(inputs["fit"] / described["file"])
+        assert isinstance(whole, otr.ObliqueTree | otr.PatternTree)
         tree = otr.prune_unreached(whole, dataset.labelled("train", label)[0])
         row: dict[str, Any] = {"label": label}
         for part in PARTS:

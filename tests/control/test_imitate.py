@@ -3,9 +3,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import stable_baselines3
 import torch
 
 import otr
+from otr.control.critic_polish.learner import CriticPolish
 from otr.core.black_box import BlackBox
 from otr.core.smooth_network import SmoothNetwork
 
@@ -48,6 +50,44 @@ def test_continuous_actions_stay_in_their_box_and_a_seed_repeats(method, capsys)
     X = np.random.default_rng(0).normal(size=(50, 3)) * 5
     np.testing.assert_array_equal(trees[0].predict(X), trees[1].predict(X))
     assert np.abs(trees[0].predict(X)).max() <= 2 and capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("method", ["ndps", "distilled_otr"])
+def test_critics_polish_alike_in_environments_by_name_by_function_and_as_they_are(
+    method, tmp_path, monkeypatch, capsys
+):
+    stable_baselines3.SAC("MlpPolicy", "Pendulum-v1", policy_kwargs={"net_arch": [16]}, seed=0).save(tmp_path / "sac")
+    policy, critics = otr.read_policy(tmp_path / "sac.zip"), otr.read_critics(tmp_path / "sac.zip")
+    short = {"steps": 80, "refill_steps": 100, "batch_size": 16, "n_candidates": 2, "n_selection_episodes": 2}
+    n_threads, learnt, candidates = torch.get_num_threads(), [], CriticPolish.candidates
+
+    def noting(self, *given):
+        for step, found in candidates(self, *given):
+            learnt.append((step, found))
+            yield step, found
+        rows = self._replay.gather(torch.arange(180).unsqueeze(0))
+        restarts = (rows.states[0, 1:] != rows.next_states[0, :-1]).any(1).nonzero()[:, 0] + 1
+        assert restarts.tolist() == [30, 60, 90, 100, 130, 160]  # at 100 the learning begins
+
+    monkeypatch.setattr(CriticPolish, "candidates", noting)
+    options = {"n_updates": 20, "max_steps": 30, **SHORT}
+    plain = otr.imitate(policy, "Pendulum-v1", method, 2, **options)
+    envs = ["Pendulum-v1", lambda: gym.make("Pendulum-v1"), gym.make("Pendulum-v1")]
+    trees = [otr.imitate(policy, env, method, 2, polish={"critics": critics} | short, **options) for env in envs]
+    assert [step for step, _ in learnt] == [40, 80] * 3
+    X = np.random.default_rng(0).normal(size=(50, 3))
+    first, *others = ([found.predict(X) for _, found in learnt[i : i + 2]] for i in (0, 2, 4))
+    np.testing.assert_array_equal([first, first], others)
+    assert np.ptp([*first, plain.predict(X)], axis=0).max() > 1e-3
+    np.testing.assert_array_equal(trees[0].predict(X), trees[2].predict(X))
+    np.testing.assert_array_equal(trees[0].children_left, plain.children_left)
+    said = capsys.readouterr().err
+    assert said.count("imitate: polished, return ") + said.count("imitate: not polished") == 3
+    assert torch.get_num_threads() == n_threads
+    with pytest.raises(TypeError, match="actions that tanh or a clip leads into their box, not Argmax; use a search"):
+        otr.imitate(swinging(otr.Argmax()), "CartPole-v1", polish=critics)
+    with pytest.raises(ValueError, match="steps=0 is not at least 1"):
+        otr.imitate(policy, "Pendulum-v1", polish={"critics": critics, "steps": 0})
 
 
 class Keys(gym.Env):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control.label_leaves import argmax_leaves
-from otr.control.soft_trees.soft_tree import SoftTree, path_probabilities
+from otr.control.soft_trees.soft_tree import SoftTree
 
 torch.set_num_threads(1)
 
@@ -33,19 +33,6 @@ def naive_value(tree: SoftTree, x: np.ndarray, node: int = 0) -> np.ndarray:
         return leaf @ x1 if tree.affine_leaves else leaf
     left = 1 / (1 + np.exp(float(tree.beta) * tree.tests.detach().numpy()[node] @ x1))
     return left * naive_value(tree, x, 2 * node + 1) + (1 - left) * naive_value(tree, x, 2 * node + 2)
-
-
-@pytest.mark.parametrize("depth", [0, 1, 2, 4])
-def test_derivatives_of_the_path_probabilities(depth):
-    left = torch.rand(2**depth - 1, 3, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(path_probabilities, left)
-    assert torch.autograd.gradgradcheck(path_probabilities, left)
-    assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[1], left)
-    if depth:
-        assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[0], left)
-    nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
-    torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))
-    torch.testing.assert_close(leaves[:, 0], torch.tensor([0.125, 0.125, 0.075, 0.675]))
 
 
 @pytest.mark.parametrize("affine", [False, True])

@@ -39,20 +39,6 @@ def test_forward_follows_the_definition(case: Case) -> None:
     assert net.forward(x).shape == (net.n_outputs,) and net.patterns(x).shape == (net.n_hidden,)
 
 
-@given(cases())
-def test_unit_form_is_the_network(case: Case) -> None:
-    net, units = case.network, case.network.unit_form()
-    n = net.n_hidden
-    for x in case.states[:5]:
-        a = np.zeros(n)
-        for unit in range(n):
-            z = units.links[unit] @ a + units.inputs[unit] @ x + units.offsets[unit]
-            a[unit] = z if z > 0 else net.negative_slope * z
-        y = units.links[n:] @ a + units.inputs[n:] @ x + units.offsets[n:]
-        np.testing.assert_allclose(y, net.forward(x), rtol=1e-9, atol=1e-9)
-    assert not np.triu(units.links).any()
-
-
 @given(cases(), st.integers(0, 1000))
 def test_fold_input_normalisation(case: Case, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import DDPG, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from otr.importers.critics import Critics, critics_of_zip
+from otr.errors import InvalidNetworkError
+from otr.importers.critics import Critics, critics_of_zip, read_critics
 
 torch.set_num_threads(1)
 
@@ -79,3 +81,15 @@ def test_what_has_no_critics_of_relu_units_has_none(tmp_path: Path) -> None:
     smooth = {"net_arch": [4], "activation_fn": torch.nn.Tanh}
     SAC("MlpPolicy", "Pendulum-v1", policy_kwargs=smooth, seed=0).save(tmp_path / "smooth")
     assert critics_of_zip(tmp_path / "ppo.zip") is critics_of_zip(tmp_path / "smooth.zip") is None
+    with pytest.raises(InvalidNetworkError, match=r"ppo\.zip has no critics of \(leaky\) ReLU units"):
+        read_critics(tmp_path / "ppo.zip")
+
+
+def test_critics_of_normalised_states_are_refused(tmp_path: Path) -> None:
+    normalised = VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
+    model = SAC("MlpPolicy", normalised, policy_kwargs={"net_arch": [4]}, seed=0)
+    model.save(tmp_path / "model")
+    assert read_critics(tmp_path / "model.zip").widths == read_critics(str(tmp_path / "model")).widths == (4,)
+    normalised.save(str(tmp_path / "vecnormalize.pkl"))
+    with pytest.raises(InvalidNetworkError, match="judge states and rewards as VecNormalize made them"):
+        read_critics(tmp_path / "model.zip")

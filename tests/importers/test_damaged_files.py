@@ -189,18 +189,6 @@ def test_a_zip_of_another_form_says_that_it_is_damaged(tmp_path: Path, change: C
             read(path)
 
 
-def test_a_skops_file_without_a_setting_says_that_it_is_damaged(tmp_path: Path) -> None:
-    path = skops_file(tmp_path)
-
-    def changed(content: bytes, _: np.random.Generator) -> bytes:
-        return content.replace(b'"activation"', b'"activatio"')
-
-    path.write_bytes(with_changes(path, "schema.json", changed, np.random.default_rng(0)))
-    for read in (read_policy, otr.from_sklearn):
-        with pytest.raises(otr.ArtefactError, match=r"skops cannot be read \(AttributeError: .*'activation'.*damaged"):
-            read(path)
-
-
 def onnx_of(n_inputs: int) -> bytes:
     nodes = [helper.make_node("Sub", ["x", "one"], ["a"]), helper.make_node("Mul", ["a", "one"], ["y"])]
     values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", n_inputs]) for name in "xy"]

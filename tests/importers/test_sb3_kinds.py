@@ -1,7 +1,5 @@
 """Every kind of policy on a vector that Stable-Baselines3 and sb3-contrib have is read as what it predicts."""
 
-import io
-import zipfile
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,7 +12,9 @@ from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 
 import otr
 from otr.importers.critics import critics_of_zip
+from tests.importers.test_critics import values
 from tests.importers.test_importers import FourActions, WideBox
+from tests.importers.test_sb3_archive import changed
 
 torch.set_num_threads(1)
 RELU = {"activation_fn": torch.nn.ReLU, "net_arch": [8, 5]}
@@ -86,22 +86,12 @@ def test_a_policy_is_what_it_predicts(kind, tmp_path):
             np.testing.assert_allclose(tree.predict(X), network.predict(X), atol=1e-9)
 
 
-def test_a_mean_that_gsde_clips_stays_within_its_limits(tmp_path):
-    network = otr.from_sb3(drawn(SAC, PENDULUM, LAYERS, use_sde=True))
-    outputs = network.forward(100 * np.random.default_rng(0).normal(size=(200, 3)))
-    assert outputs.min() == -2 and outputs.max() == 2
-
-
 def test_the_names_of_sb3_contrib_1_3_are_read(tmp_path):
     model = ARS("LinearPolicy", CART, zero_policy=False, seed=0, device="cpu")
     model.policy.action_net[0].weight.data.normal_()
     model.save(tmp_path / "new.zip")
-    with zipfile.ZipFile(tmp_path / "new.zip") as new, zipfile.ZipFile(tmp_path / "old.zip", "w") as old:
-        tensors = torch.load(io.BytesIO(new.read("policy.pth")), weights_only=True)
-        file = io.BytesIO()
-        torch.save({name.replace("action_net.0.", "action_net."): tensor for name, tensor in tensors.items()}, file)
-        for name in new.namelist():
-            old.writestr(name, file.getvalue() if name == "policy.pth" else new.read(name))
+    old_names = lambda tensors: {name.replace("_net.0.", "_net."): tensor for name, tensor in tensors.items()}  # noqa: E731
+    changed(tmp_path / "new.zip", tmp_path / "old.zip", old_names)
     assert_same(model, otr.from_sb3(tmp_path / "old.zip"))
 
 
@@ -123,29 +113,19 @@ def test_masks_are_left_out_and_that_is_said(tmp_path):
 def test_a_quantile_critic_is_read_as_its_mean_and_a_normalised_one_is_not(tmp_path):
     model = drawn(TQC, PENDULUM, LAYERS)
     model.save(tmp_path / "tqc.zip")
-    critics = critics_of_zip(tmp_path / "tqc.zip")
-    X = torch.randn(20, 3)
-    actions = torch.rand(20, 1) * 2 - 1
+    X, actions = torch.randn(20, 3), torch.rand(20, 1) * 2 - 1
     with torch.no_grad():
-        wanted = model.critic(X, actions).mean(dim=2)  # (20, 2), of the quantiles
-    values = torch.cat((X, actions), dim=1).double().numpy()[None]
-    for i, (weight, bias) in enumerate(critics.layers):
-        values = values @ weight + bias
-        values = np.maximum(values, 0) if i + 1 < len(critics.layers) else values
-    np.testing.assert_allclose(values[:, :, 0].T, wanted.numpy(), rtol=1e-4, atol=1e-4)
+        wanted = model.critic(X, actions).mean(dim=2).T  # (2, 20), of the quantiles
+    found = values(critics_of_zip(tmp_path / "tqc.zip").layers, X.numpy(), actions.numpy())
+    np.testing.assert_allclose(found, wanted.numpy(), rtol=1e-4, atol=1e-4)
     drawn(CrossQ, PENDULUM, LAYERS).save(tmp_path / "crossq.zip")
     assert critics_of_zip(tmp_path / "crossq.zip") is None
 
 
 def test_other_policies_say_what_can_be_read(tmp_path):
-    model = drawn(PPO, PENDULUM, RELU)
-    model.save(tmp_path / "policy.zip")
-    with zipfile.ZipFile(tmp_path / "policy.zip") as given, zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
-        tensors = torch.load(io.BytesIO(given.read("policy.pth")), weights_only=True)
-        file = io.BytesIO()
-        torch.save(tensors | {"lstm_actor.weight_ih_l0": torch.zeros(2, 2)}, file)
-        for name in given.namelist():
-            other.writestr(name, file.getvalue() if name == "policy.pth" else given.read(name))
+    drawn(PPO, PENDULUM, RELU).save(tmp_path / "policy.zip")
+    recurrent = {"lstm_actor.weight_ih_l0": torch.zeros(2, 2)}
+    changed(tmp_path / "policy.zip", tmp_path / "other.zip", lambda tensors: tensors | recurrent)
     with pytest.raises(otr.InvalidNetworkError, match=r"the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
         otr.from_sb3(tmp_path / "other.zip")
 

@@ -95,15 +95,6 @@ def test_shapes_of_states(shape: tuple) -> None:
     assert_read(model([("Reshape", ["x", "flat"], "c"), *LAYERS], shape), shape)
 
 
-def test_residual_networks_have_dense_links() -> None:
-    nodes = [("Identity", ["x"], "c"), *LAYERS[:2], ("Gemm", ["a", "V"], "h"), ("Add", ["h", "a"], "r"),
-             ("Relu", ["r"], "b"), ("Add", ["b", "a"], "s"), ("Gemm", ["s", "W2", "b2"], "o", {"transB": 1}),
-             ("MatMul", ["x", "S"], "skip"), ("Add", ["o", "skip"], "y")]  # fmt: skip
-    network = assert_read(model(nodes, V=RNG.normal(size=(6, 6)), S=RNG.normal(size=(4, 2))))
-    assert network.hidden_widths == (6, 6) and network.dense == "all" and network.negative_slope == 0.0
-    np.testing.assert_array_equal(network.weights[2], np.hstack((W2, W2, network.weights[2][:, 12:])))
-
-
 ENDS = {
     "log sum exp": [("ReduceLogSumExp", ["u"], "l", {"axes": [1]}), ("Sub", ["u", "l"], "v")],
     "softmax": [("Softmax", ["u"], "v", {"axis": -1})],
@@ -119,22 +110,11 @@ def test_labels(name: str, after: list) -> None:
     assert network.head == otr.Argmax() and network.hidden_widths == (6,)
 
 
-def test_a_table_of_labels_is_refused() -> None:
-    nodes = [("Identity", ["x"], "c"), *LAYERS, ("ArgMax", ["u"], "i", {"axis": 1}), ("Sub", ["five", "i"], "y")]
-    with pytest.raises(otr.InvalidNetworkError, match=r"\(ArgMax\) is followed by more than a shape"):
-        otr.from_onnx(model(nodes, label=True))
-
-
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ([("Mul", ["x", "x"], "q"), ("Add", ["q", "x"], "c")], r"node 'q' \(Mul\) is not affine"),
         ([("Floor", ["x"], "c")], r"node 'c' \(Floor\) is not affine"),
-        ([("Sign", ["x"], "c")], r"node 'c' \(Sign\) is not affine"),
-        (
-            [("Exp", ["x"], "e"), ("Sin", ["x"], "s"), ("Add", ["e", "s"], "c")],
-            r"'e' \(Exp\), node 's' \(Sin\) are not",
-        ),
+        ([("Exp", ["x"], "e"), ("Sin", ["x"], "s"), ("Add", ["e", "s"], "c")], r"\(Exp\), node 's' \(Sin\) are not"),
         ([("Less", ["x", "gain"], "l"), ("Where", ["l", "x", "gain"], "c")], r"node 'l' \(Less\) is not affine"),
         ([("NonZero", ["x"], "k"), ("Cast", ["k"], "c", {"to": 11})], "its answer is not known before"),
     ],

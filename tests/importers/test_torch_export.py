@@ -3,8 +3,6 @@
 import copy
 import io
 import json
-import subprocess
-import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -157,25 +155,9 @@ def test_what_is_refused(forward: Callable, message: str) -> None:
         otr.from_torch(exported(Policy(forward)))
 
 
-@pytest.mark.parametrize(("states", "shape"), [(STATES[:1], (1, 1, 2)), (STATES[0], (1, 2))], ids=["batch", "state"])
-def test_a_constant_that_adds_an_axis_is_refused(states: torch.Tensor, shape: tuple[int, ...]) -> None:
-    """The module's argmax then goes over another axis than that of the outputs."""
-    module = Policy(lambda m, x: (m.two(torch.relu(m.one(x))) + m.row).argmax(dim=states.ndim - 1))
-    module.register_buffer("row", torch.ones(shape))
-    assert module(states).tolist() != module.two(torch.relu(module.one(states))).argmax(dim=-1).tolist()
-    with pytest.raises(otr.InvalidNetworkError, match=r"\(argmax\) is not affine, .* sees the numbers of one state"):
-        otr.from_torch(exported(module, states=states))
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(exported(sequential(nn.ReLU())), tmp_path_factory.mktemp("saved") / "policy.pt2")
-
-
-def test_without_torch_a_file_says_what_is_missing(saved: Path) -> None:
-    code = f"import sys; sys.modules['torch'] = None\nimport otr; otr.from_torch({str(saved)!r})"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "otr.from_torch needs torch, which is not installed: pip install 'otr[learn]'" in out.stderr
 
 
 @pytest.mark.filterwarnings("ignore:Unable to load")

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 from sklearn.exceptions import NotFittedError
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor, ExtraTreeRegressor
 
-import otr
 from otr.learners import CARTClassifier, CARTRegressor, from_sklearn_tree
 
 
@@ -77,10 +76,3 @@ def test_estimators_are_scikit_learns(ours, theirs):
     options = {"max_depth": 5, "min_samples_leaf": 2, "ccp_alpha": 1e-3, "random_state": 1}
     expected = theirs(**options).fit(X, y, weight).predict(X)
     assert np.array_equal(ours(**options).fit(X, y, weight).predict(X), expected)
-
-
-def test_a_program_comes_out():
-    tree = CARTClassifier().fit([[0.0, 1.0], [1.0, 1.0]], ["no", "yes"]).tree_
-    assert otr.to_text(tree, feature_names=["amine", "ring"], output_names=["no", "yes"]) == (
-        "if -0.5 + amine <= 0 then\n    return no\nelse\n    return yes\n"
-    )

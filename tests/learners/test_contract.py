@@ -1,6 +1,5 @@
 """scikit-learn's own checks, and the one promise of ours: an estimator answers as its tree."""
 
-import pickle
 import warnings
 
 import numpy as np
@@ -135,15 +134,6 @@ def test_degenerate_input(cls, case):
         assert model.tree_.n_leaves == 1
 
 
-@pytest.mark.parametrize("cls", CLASSIFIERS)
-def test_one_class(cls):
-    X, _ = problem(cls())
-    model = cls(random_state=0).fit(X, np.full(len(X), "only"))
-    assert model.tree_.n_leaves == 1
-    assert model.predict(X[:2]).tolist() == ["only", "only"]
-    assert model.predict_proba(X[:2]).tolist() == [[1.0], [1.0]]
-
-
 @pytest.mark.parametrize("cls", ESTIMATORS)
 def test_one_constant_target_makes_one_leaf(cls):
     X, _ = problem(cls())
@@ -157,12 +147,3 @@ def test_depth_is_limited(cls, depth):
         pytest.skip("scikit-learn's trees have depth 1 at least")
     X, y = problem(cls())
     assert cls(max_depth=depth, random_state=0).fit(X, y).tree_.depth <= depth
-
-
-@pytest.mark.parametrize("cls", ESTIMATORS)
-def test_pickle_and_float32(cls):
-    X, y = problem(cls())
-    X = X.astype(np.float32)
-    model = cls(random_state=0).fit(X, y)
-    assert np.array_equal(pickle.loads(pickle.dumps(model)).predict(X), model.predict(X))
-    assert np.array_equal(model.predict(X.astype(float)), model.predict(X))

@@ -122,13 +122,6 @@ def test_the_seed_decides_everything(fingerprints):
     assert (first[1][:300] != other[1][:300]).any()
 
 
-def test_training_takes_probabilities_for_targets():
-    # With nothing to tell rows apart, the network answers the mean probability.
-    X, p = np.zeros((640, 3)), np.tile([0.1, 0.3], 320)
-    network = train_many(X, p, [0], MlpSettings(hidden=(4,))).networks[0][0]
-    np.testing.assert_allclose(1 / (1 + np.exp(-network.forward(X[:1]))), 0.2, atol=0.01)
-
-
 def test_classifiers_learn_from_a_teacher(fingerprints):
     X, Y = fingerprints
     model = OTRClassifier((4,), teacher=QUICK, epochs=3, decay_every=10, random_state=5).fit(X, Y)

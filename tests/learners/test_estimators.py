@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.datasets import load_breast_cancer, load_diabetes, load_digits
+from sklearn.datasets import load_breast_cancer, load_diabetes
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LogisticRegression, Ridge
 from sklearn.metrics import roc_auc_score
@@ -22,7 +22,6 @@ from otr.learners import (
     OTRClassifier,
     OTRRegressor,
 )
-from otr.learners.base.tree_per_label import seed_of
 from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import train_many
@@ -78,20 +77,6 @@ def test_large_trees_are_held_as_patterns_and_compute_the_same():
     [pruned], [other] = small.prune(X), large.prune(X)
     assert pruned.n_leaves == other.n_leaves < 256
     np.testing.assert_allclose(pruned.forward(X), small.network_.forward(X), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "model", [OTRClassifier(random_state=0), LCNClassifier(random_state=0, **QUICK_LCN), LinearTreeClassifier()]
-)
-def test_many_classes(model):
-    X, y = load_digits(return_X_y=True)
-    names = np.array([f"digit {label}" for label in range(10)])
-    X, y = X[y < 4], names[y[y < 4]]
-    model.fit(X, y)
-    assert (model.predict(X) == y).mean() > 0.97
-    probabilities = model.predict_proba(X)
-    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
-    np.testing.assert_array_equal(model.classes_[probabilities.argmax(axis=1)], model.predict(X))
 
 
 @pytest.mark.parametrize("model", CLASSIFIERS)
@@ -194,12 +179,6 @@ def test_same_seed_same_trees(fingerprints):
         one, two, other = (clone(model).set_params(random_state=seed).fit(X, Y) for seed in (3, 3, 4))
         np.testing.assert_array_equal(one.decision_function(X), two.decision_function(X))
         assert np.abs(one.decision_function(X) - other.decision_function(X)).max() > 0.01
-
-
-def test_seeds():
-    assert seed_of(5) == 5
-    assert seed_of(np.random.RandomState(0)) == seed_of(np.random.RandomState(0))
-    assert seed_of(None) >= 0
 
 
 def test_fit_seeds_leaves_the_estimator_as_it_is() -> None:

@@ -117,14 +117,6 @@ def test_blocks_and_threads_change_nothing(monkeypatch):
     assert np.array_equal(whole.v, in_blocks.v)
 
 
-def test_float32_gives_the_tree_of_float64():
-    X = (np.random.default_rng(0).random((200, 30)) < 0.4).astype(np.float32)
-    y = (X[:, :4].sum(axis=1) > X[:, 4:8].sum(axis=1)).astype(int)
-    small, large = (HHCARTClassifier(max_depth=3, random_state=0).fit(X.astype(t), y) for t in (np.float32, float))
-    assert np.array_equal(small.predict(X), large.predict(X))
-    np.testing.assert_allclose(small.tree_.P, large.tree_.P, atol=1e-4)
-
-
 def test_without_a_reflection_it_is_cart():
     # The classes' dominant eigenvectors lie along an axis, where HHCART makes no reflection.
     rng = np.random.default_rng(0)
@@ -159,13 +151,3 @@ def test_leaf_limits():
     model = HHCARTClassifier(min_samples_leaf=20, random_state=0).fit(X, y)
     assert np.bincount(model.apply(X)).min() >= 20
     assert HHCARTClassifier(min_samples_split=301).fit(X, y).tree_.n_leaves == 1
-
-
-@pytest.mark.slow
-def test_fingerprints_in_full_width():
-    rng = np.random.default_rng(0)
-    X = (rng.random((20_000, 2048)) < 0.02).astype(np.float32)
-    y = (X[:, :40].sum(axis=1) > X[:, 40:80].sum(axis=1)).astype(int)
-    model = HHCARTClassifier(max_depth=2, random_state=0).fit(X, y)
-    assert model.tree_.n_leaves == 4
-    assert model.score(X, y) > 0.5

@@ -66,24 +66,6 @@ def test_network_and_tree_compute_the_definition(hidden, n_outputs):
     assert not tree.M.any()
 
 
-def test_derivatives_are_torchs_own():
-    """J and c are the derivative and offset of the last activations as a function of x."""
-    network = _random_network(3)
-    x = torch.randn(7, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    relu = network._relu_network()
-
-    def last(x):
-        read = torch.zeros(0, dtype=torch.float64)
-        for W, b in zip(relu.weights[:-1], relu.biases[:-1], strict=True):
-            read = torch.cat((read, torch.relu(torch.tensor(W) @ torch.cat((read, x)) + torch.tensor(b))))
-        return read
-
-    J = torch.func.jacrev(last)(x)
-    c = last(x) - J @ x
-    expected = np.tensordot(network.G, J.numpy(), 2) + network.h @ c.numpy() + network.offset
-    np.testing.assert_allclose(network.forward(x.numpy())[0], expected)
-
-
 def test_labels_are_the_heads():
     X = np.random.default_rng(1).normal(size=(200, 7))
     for n_outputs, head in ((1, otr.Sign()), (3, otr.Argmax())):

@@ -92,15 +92,6 @@ def test_defaults_do_well_on_iris():
     assert scores.mean() > 0.93
 
 
-def test_epochs_make_a_thousand_steps_and_are_thirty_at_least():
-    few = learners.OTRClassifier(random_state=0).fit(X[:20], SCORE[:20] > 0)
-    assert few.best_epochs_.tolist() == [1000]  # the last, without validation rows
-    told = learners.OTRClassifier(epochs=1000, decay_every=334, random_state=0).fit(X[:20], SCORE[:20] > 0)
-    np.testing.assert_array_equal(told.network_.weights[0], few.network_.weights[0])
-    many = learners.OTRClassifier(batch_size=1, random_state=0).fit(X[:34], SCORE[:34] > 0)
-    assert many.best_epochs_.tolist() == [30]
-
-
 @pytest.mark.parametrize("weighted", [False, True])
 def test_importances_of_cart_are_scikit_learns(weighted: bool) -> None:
     rng = np.random.default_rng(0)

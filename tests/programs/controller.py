@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from blark import transform as st
 from blark.parse import parse_source_code
 
 Variables = dict[str, Any]
-Expression = Callable[[Variables], Any]
-Statement = Callable[[Variables], None]
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "<=": operator.le, "<": operator.lt, ">": operator.gt,
-    ">=": operator.ge,
+    ">=": operator.ge, "/": operator.truediv,
 }  # fmt: skip
 FUNCTIONS = {"exp": math.exp, "abs": abs, "limit": lambda low, value, high: min(max(value, low), high)}
 TYPES = {"lreal": float, "int": int, "dint": int, "lint": int}
@@ -33,13 +31,11 @@ class FunctionBlock:
         for section in self.block.declarations:
             for item in section.items:
                 self._declare(section, item)
-        self.body = [_statement(statement) for statement in self.block.body.statements]
 
     def __call__(self, *inputs: float) -> dict[str, Any]:
         variables = dict(self.initial)
         variables.update(zip(self.inputs, inputs, strict=True))
-        for statement in self.body:
-            statement(variables)
+        _run(self.block.body, variables)
         return {name: variables[name] for name in self.outputs}
 
     def _declare(self, section: Any, item: Any) -> None:
@@ -53,16 +49,12 @@ class FunctionBlock:
                 self.outputs.append(name)
             value = item.init.value
             if isinstance(value, st.ArrayInitialization):
-                self.initial[name] = _array(item, list(_elements(value)))
+                self.initial[name] = list(_elements(value))
+                assert len(self.initial[name]) == _length(item), f"the initial values of {item}"
             elif "array" in kind or isinstance(item.init.spec, st.ArraySpecification):
                 self.initial[name] = [None] * _length(item)
             else:
                 self.initial[name] = TYPES[kind](0)
-
-
-def _array(item: Any, values: list[Any]) -> list[Any]:
-    assert len(values) == _length(item), f"{len(values)} initial values for {item}"
-    return values
 
 
 def _length(item: Any) -> int:
@@ -76,93 +68,64 @@ def _elements(initial: Any) -> Iterator[Any]:
         if isinstance(element.element, st.ArrayInitialization):  # how blark holds the second element and on
             yield from _elements(element.element)
         else:
-            yield _expression(element.element)({})
+            yield _value(element.element, {})
 
 
-def _statement(node: Any) -> Statement:
-    if isinstance(node, st.AssignmentStatement):
-        (target,), value = node.variables, _expression(node.expression)
-        return lambda variables: _assign(target, value(variables), variables)
-    if isinstance(node, st.IfStatement):
-        assert not node.else_ifs
-        test, then = _expression(node.if_expression), _block(node.statements)
-        otherwise = _block(node.else_clause.statements if node.else_clause else None)
-        return lambda variables: then(variables) if test(variables) else otherwise(variables)
-    if isinstance(node, st.WhileStatement):
-        test, body = _expression(node.expression), _block(node.statements)
-
-        def loop(variables: Variables) -> None:
-            while test(variables):
-                body(variables)
-
-        return loop
-    if isinstance(node, st.ForStatement):
-        first, last, body = _expression(node.from_), _expression(node.to), _block(node.statements)
-
-        def count(variables: Variables) -> None:
-            for value in range(first(variables), last(variables) + 1):
-                _assign(node.control, value, variables)
-                body(variables)
-
-        return count
-    raise TypeError(f"{type(node).__name__}: {node}")
-
-
-def _block(statements: Any) -> Statement:
-    parts = [_statement(statement) for statement in statements.statements] if statements else []
-
-    def run(variables: Variables) -> None:
-        for part in parts:
-            part(variables)
-
-    return run
+def _run(statements: Any, variables: Variables) -> None:
+    for node in statements.statements if statements else []:
+        match node:
+            case st.AssignmentStatement(variables=[target]):
+                _assign(target, _value(node.expression, variables), variables)
+            case st.IfStatement(else_ifs=[]) if _value(node.if_expression, variables):
+                _run(node.statements, variables)
+            case st.IfStatement(else_ifs=[]):
+                _run(node.else_clause and node.else_clause.statements, variables)
+            case st.WhileStatement():
+                while _value(node.expression, variables):
+                    _run(node.statements, variables)
+            case st.ForStatement():
+                for value in range(_value(node.from_, variables), _value(node.to, variables) + 1):
+                    _assign(node.control, value, variables)
+                    _run(node.statements, variables)
+            case _:
+                raise TypeError(f"{type(node).__name__}: {node}")
 
 
 def _assign(target: Any, value: Any, variables: Variables) -> None:
     if isinstance(target, st.MultiElementVariable):
-        ((index,),) = (element.subscripts for element in target.elements)
-        variables[str(target.name.name).lower()][_expression(index)(variables)] = value
+        variables[str(target.name.name).lower()][_index(target, variables)] = value
     else:
         name = str(target.name).lower()
         assert name in variables, f"{name} is not declared"
         variables[name] = value
 
 
-def _expression(node: Any) -> Expression:
-    if isinstance(node, st.Real | st.Integer):
-        value = float(str(node.value)) if isinstance(node, st.Real) else int(str(node.value))
-        return lambda variables: value
-    if isinstance(node, st.SimpleVariable):
-        name = str(node.name).lower()
-        return lambda variables: variables[name]
-    if isinstance(node, st.MultiElementVariable):
-        name = str(node.name.name).lower()
-        ((index,),) = (element.subscripts for element in node.elements)
-        at = _expression(index)
-        return lambda variables: variables[name][at(variables)]
-    if isinstance(node, st.ParenthesizedExpression):
-        return _expression(node.expr)
-    if isinstance(node, st.UnaryOperation):
-        inner = _expression(node.expr)
-        assert node.op == "-"
-        return lambda variables: -inner(variables)
-    if isinstance(node, st.BinaryOperation):
-        return _binary(str(node.op), _expression(node.left), _expression(node.right))
-    if isinstance(node, st.FunctionCall):
-        function = FUNCTIONS[str(node.name.name).lower()]
-        arguments = [_expression(parameter.value) for parameter in node.parameters]
-        return lambda variables: function(*(argument(variables) for argument in arguments))
+def _index(node: Any, variables: Variables) -> int:
+    ((index,),) = (element.subscripts for element in node.elements)
+    return _value(index, variables)
+
+
+def _value(node: Any, variables: Variables) -> Any:
+    match node:
+        case st.Real():
+            return float(str(node.value))
+        case st.Integer():
+            return int(str(node.value))
+        case st.SimpleVariable():
+            return variables[str(node.name).lower()]
+        case st.MultiElementVariable():
+            return variables[str(node.name.name).lower()][_index(node, variables)]
+        case st.ParenthesizedExpression():
+            return _value(node.expr, variables)
+        case st.UnaryOperation(op="-"):
+            return -_value(node.expr, variables)
+        case st.BinaryOperation():
+            a, b = _value(node.left, variables), _value(node.right, variables)
+            sign = str(node.op)
+            refused = f"{a!r} {sign} {b!r}: an integer meets a real number, which controllers refuse"
+            assert type(a) is type(b), refused
+            return OPERATORS[sign](a, b)
+        case st.FunctionCall():
+            arguments = [_value(parameter.value, variables) for parameter in node.parameters]
+            return FUNCTIONS[str(node.name.name).lower()](*arguments)
     raise TypeError(f"{type(node).__name__}: {node}")
-
-
-def _binary(sign: str, left: Expression, right: Expression) -> Expression:
-    if sign == "/":
-        return lambda variables: left(variables) / right(variables)
-    operation = OPERATORS[sign]
-
-    def compute(variables: Variables) -> Any:
-        a, b = left(variables), right(variables)
-        assert type(a) is type(b), f"{a!r} {sign} {b!r}: an integer meets a real number, which controllers refuse"
-        return operation(a, b)
-
-    return compute

@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
 import otr
-from tests.core.strategies import Case, assert_same_answers, cases
-from tests.programs.policies import assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import assert_answers, committed, policies, states_for
 
 POLICIES = policies()
 
@@ -57,21 +55,6 @@ def test_every_policy(name: str) -> None:
     assert_answers(tree, states, answers)
 
 
-@given(cases())
-@settings(max_examples=30)
-def test_equals_the_network(case: Case) -> None:
-    program = json.loads(otr.to_json(otr.map_network(case.network)))
-    answers = np.array([answer(program, state) for state in case.states.tolist()])
-    assert_same_answers(answers, case.network.predict(case.states), case.network, case)
-
-
-@pytest.mark.parametrize("name", ["hopper", "pid"])
-def test_ten_thousand_states_of_a_committed_policy(name: str) -> None:
-    tree = committed(name)
-    states, program = states_for(tree, 10_000), json.loads(otr.to_json(tree))
-    assert_answers(tree, states, [answer(program, state) for state in states.tolist()])
-
-
 def test_nothing_is_lost() -> None:
     tree = committed("lander")
     names = ["x", 'the "y"', "ü"] + [f"s{i}" for i in range(5)]
@@ -92,9 +75,3 @@ def test_nothing_is_lost() -> None:
     for array in ("children_left", "children_right", "P", "v", "M", "c", "labels"):
         np.testing.assert_array_equal(getattr(again, array), getattr(tree, array))
     assert again.head == tree.head
-
-
-def test_a_deep_tree() -> None:
-    tree = chain(2000)
-    program = json.loads(otr.to_json(tree))
-    assert answer(program, [1999.5, 0.0]) == [2000.0, -2000.0]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import otr
 from tests.core.strategies import Case, assert_same_answers, cases, make_network
-from tests.programs.policies import COMMITTED, assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import assert_answers, chain, committed, policies, states_for
 
 POLICIES = policies()
 
@@ -32,13 +32,6 @@ def test_every_policy(name: str) -> None:
 def test_equals_the_network(case: Case) -> None:
     answers = run(otr.to_onnx(otr.map_network(case.network)), case.states)
     assert_same_answers(answers, case.network.predict(case.states), case.network, case)
-
-
-@pytest.mark.parametrize("name", COMMITTED)
-def test_ten_thousand_states_of_committed_policies(name: str) -> None:
-    tree = committed(name)
-    states = states_for(tree, 10_000)
-    assert_answers(tree, states, run(otr.to_onnx(tree), states))
 
 
 @pytest.mark.parametrize("name", POLICIES)

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 import otr
 from tests.core.strategies import Case, assert_same_answers, cases, make_network
-from tests.programs.test_text import MOUNTAIN_CAR, mountain_car
 
 NAMES = ["x", "y", "z"]
 GRID = np.stack(np.meshgrid(*[np.arange(-1.5, 2.0, 0.5)] * 3), axis=-1).reshape(-1, 3)  # hits many boundaries
@@ -58,12 +57,6 @@ def test_heads_that_answer_labels_without_labels_in_the_leaves(head: otr.Head) -
     parsed = otr.parse_program(otr.to_text(tree), ["x0", "x1", "x2"], labels=True)
     np.testing.assert_array_equal(parsed.predict(GRID), tree.predict(GRID))
     assert len(np.unique(tree.predict(GRID))) == max(2, n_outputs)
-
-
-def test_the_program_of_the_thesis() -> None:
-    parsed = otr.parse_program(MOUNTAIN_CAR, ["x", "v"])
-    for name in ("children_left", "children_right", "P", "v", "M", "c"):
-        np.testing.assert_array_equal(getattr(parsed, name), getattr(mountain_car(), name))
 
 
 @functools.cache
@@ -262,25 +255,6 @@ def test_what_a_path_has_decided_is_found_however_far_above() -> None:
     tree = otr.parse_program(f"u = 0\n{doors}\n{doors}\nreturn u", NAMES)
     assert tree.n_leaves == 2**6
     np.testing.assert_array_equal(tree.predict(GRID)[:, 0], 2 * sum(GRID[:, 0] > i for i in range(6)))
-
-
-def a_chain_of_tests(depth: int) -> otr.ObliqueTree:
-    """Node i tests whether x is above i, and goes on on its right or, every third, on its left."""
-    goes_left = np.arange(depth) % 3 == 0
-    after = np.append(np.arange(1, depth), ~depth)
-    left, right = np.where(goes_left, after, ~np.arange(depth)), np.where(goes_left, ~np.arange(depth), after)
-    thresholds = np.where(goes_left, 2.0 * depth - np.arange(depth), np.arange(depth))
-    c = np.arange(depth + 1.0)[:, None]
-    return otr.ObliqueTree(left, right, np.tile([1.0, 0, 0], (depth, 1)), -thresholds, np.zeros((depth + 1, 1, 3)), c)
-
-
-def test_a_tree_of_hundreds_of_tests_on_a_path_is_read_back() -> None:
-    tree = a_chain_of_tests(300)
-    text = otr.to_text(tree, precision=17)
-    parsed = otr.parse_program(text, names_for(tree))
-    assert (parsed.depth, otr.to_text(parsed, precision=17)) == (300, text)
-    states = np.arange(-1.0, 700.0)[:, None] * [1.0, 0, 0]
-    np.testing.assert_array_equal(parsed.predict(states), tree.predict(states))
 
 
 @pytest.mark.parametrize(("opening", "closing"), [("then {", "}"), ("{", "}"), ("then\n", ""), (": ", "")])

@@ -122,10 +122,3 @@ def test_thousands_of_inputs() -> None:
 def test_a_bad_name_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="cannot be the name"):
         otr.to_python(POLICIES["worked"], name=name)
-
-
-def test_other_arguments_are_checked() -> None:
-    with pytest.raises(ValueError, match="feature_names has 1 names, expected 2"):
-        otr.to_python(POLICIES["worked"], feature_names=["x"])
-    with pytest.raises(TypeError, match=r"a PatternTree has to_tree\(\)"):
-        otr.to_python(otr.PatternTree(otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])))  # type: ignore[arg-type]

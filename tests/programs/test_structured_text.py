@@ -10,7 +10,7 @@ from otr.control import pid_network
 from otr.programs import structured_text
 from otr.programs.structured_text import number
 from tests.programs.controller import FunctionBlock
-from tests.programs.policies import assert_answers, chain, committed, policies, states_for, without_labels
+from tests.programs.policies import assert_answers, chain, policies, states_for, without_labels
 
 # blark's parser (Earley) takes a second for two kilobytes, so the trees are small.
 SMALL = ("worked", "wide_tanh", "labels", "one_label", "mixed", "sparse", "pid", "pid_of_two_actions")
@@ -48,13 +48,6 @@ def test_every_policy_as_tables(name: str, monkeypatch: pytest.MonkeyPatch) -> N
     tree = POLICIES[name]
     assert "WHILE" in otr.to_structured_text(tree)
     states = states_for(tree, 60)
-    assert_answers(tree, states, answers_of(tree, states))
-
-
-@pytest.mark.parametrize("name", ["hopper", "pid"])
-def test_ten_thousand_states_of_a_committed_policy(name: str) -> None:
-    tree = committed(name)
-    states = states_for(tree, 10_000)
     assert_answers(tree, states, answers_of(tree, states))
 
 

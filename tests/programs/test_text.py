@@ -37,22 +37,6 @@ def test_heads_are_shown() -> None:
     assert last_line(otr.Sign()) == "return 1 if -6.1 > 0 else 0"
 
 
-def test_several_outputs_and_nesting() -> None:
-    tree = small_tree(M=np.zeros((3, 2, 2)), c=np.arange(6.0).reshape(3, 2), head=otr.ClipBox([0.0, 1.0], [2.0, 3.0]))
-    assert otr.to_text(tree, output_names=["left", "right"]) == (
-        "if x0 <= 0 then\n"
-        "    left = clip(0, 0, 2)\n"
-        "    right = clip(1, 1, 3)\n"
-        "else\n"
-        "    if -1 + x1 <= 0 then\n"
-        "        left = clip(2, 0, 2)\n"
-        "        right = clip(3, 1, 3)\n"
-        "    else\n"
-        "        left = clip(4, 0, 2)\n"
-        "        right = clip(5, 1, 3)\n"
-    )
-
-
 def test_labels() -> None:
     tree = otr.map_network(make_network(np.random.default_rng(0), (), n_outputs=2, head="argmax"))
     assert otr.to_text(tree).splitlines()[1::2] == ["    return 0", "    return 1"]

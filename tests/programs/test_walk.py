@@ -3,9 +3,8 @@ import pytest
 
 import otr
 from otr.programs.names import identifiers
-from otr.programs.walk import distinct_rows, in_printed_order, walk
+from otr.programs.walk import in_printed_order, walk
 from tests.core.test_tree import random_tree
-from tests.programs.policies import chain
 
 
 @pytest.mark.parametrize(
@@ -21,23 +20,6 @@ from tests.programs.policies import chain
 )
 def test_identifiers(names: list[str], made: list[str]) -> None:
     assert identifiers(names, [f"v{i}" for i in range(len(names))], reserved=["if"]) == made
-
-
-def test_the_walk_writes_nested_ifs() -> None:
-    events = list(walk(chain(2)))
-    assert events == [
-        ("if", 0, 0), ("leaf", 0, 1), ("else", 0, 0),
-        ("if", 1, 1), ("leaf", 1, 2), ("else", 1, 1), ("leaf", 2, 2), ("end", 1, 1),
-        ("end", 0, 0),
-    ]  # fmt: skip
-    assert len(list(walk(chain(10_000)))) == 40_001
-
-
-def test_distinct_rows_keep_their_order() -> None:
-    rows = np.array([[3.0, 1.0], [0.0, 2.0], [3.0, 1.0], [-1.0, 0.0]])
-    unique, index = distinct_rows(rows)
-    np.testing.assert_array_equal(unique, rows[[0, 1, 3]])
-    np.testing.assert_array_equal(index, [0, 1, 0, 2])
 
 
 def test_a_tree_without_inputs_is_refused() -> None:

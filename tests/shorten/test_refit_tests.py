@@ -70,18 +70,6 @@ def test_the_lasso_meets_its_optimality_conditions():
     assert (np.abs(gradient[w == 0]) <= 0.2).all()
 
 
-def test_without_penalty_it_is_linear_discriminant_analysis():
-    lda = pytest.importorskip("sklearn.discriminant_analysis").LinearDiscriminantAnalysis("lsqr", priors=[0.5, 0.5])
-    right = X @ P[1] + RNG.normal(size=len(X)) > 0.4
-    weights = np.where(right, 0.5 / right.sum(), 0.5 / (~right).sum())
-    centred = X - weights @ X
-    gram, target = centred.T @ (weights[:, None] * centred), centred.T @ (weights * np.where(right, 1.0, -1.0))
-    w = _lasso(gram, target, 0.0, np.zeros(6), np.arange(6))
-    # With this solver the within-class covariance weighs the classes by the priors, as here.
-    direction = lda.fit(X, right).coef_[0]
-    np.testing.assert_allclose(w / np.linalg.norm(w), direction / np.linalg.norm(direction), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [({"agreement": 0.0}, "agreement"), ({"agreement": 1.1}, "agreement"), ({"digits": 0}, "digits"),

@@ -73,7 +73,9 @@ class RunFolder:
 
     def tree(self, r: int) -> ObliqueTree | PatternTree:
         """Return round r's tree."""
-        return load(self._tree_path(r))
+        tree = load(self._tree_path(r))
+        assert isinstance(tree, ObliqueTree | PatternTree)
+        return tree
 
     def _tree_path(self, r: int) -> Path:
         return self._folder / f"iterate-{r:03d}.json"
@@ -92,19 +94,6 @@ class RunFolder:
                     "for; take another folder, or delete this one"
                 )
         return state
-
-
-def returns_so_far(folder: Path) -> list[tuple[int, float]]:
-    """Return, of each tree of a run under way that has played, its number of rows and the mean of its returns.
-
-    The run is not disturbed; before its first round there are none.
-    """
-    path = folder / "dagger.json"
-    if not path.exists():
-        return []
-    state = json.loads(path.read_text(encoding="utf-8"))
-    played = zip(state["trees"], state["rollouts"][1:], strict=False)  # the oracle's come first
-    return [(tree["n_rows"], float(np.mean(returns))) for tree, returns in played]
 
 
 class GrowingArray:

@@ -5,11 +5,11 @@ import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import key_of, runs_listed
+from pipelines.cli.overrides import key_of
 from pipelines.cli.runs import RUN, load_config
+from pipelines.cli.settings import settings_of
 from pipelines.cli.workflow import Workflow
-from pipelines.config.setting import Folder, FreeText, check_settings
+from pipelines.config.setting import Folder, FreeText, check_settings, results_folder
 from pipelines.errors import ConfigError
 from pipelines.runs.finished_run import TREES, find_run
 
@@ -18,17 +18,16 @@ from pipelines.runs.finished_run import TREES, find_run
 class ReportConfig:
     """What `otr-report` takes; overrides with other keys are those of a run."""
 
-    tree: FreeText | None
-    out: FreeText | None
-    results_dir: Folder
-    debug: bool
-    run: list[FreeText] = field(default_factory=list)
+    run: list[FreeText] = field(default_factory=list)  # none for all of results_dir
+    tree: FreeText | None = None  # the polished one where that gained, else the pruned
+    out: FreeText | None = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
-REPORT = Composer("report", {(None, "report_schema"): ReportConfig})
 OWN = ("run", "tree", "out", "results_dir", "debug")
 
 
@@ -38,7 +37,7 @@ def do(arguments: argparse.Namespace) -> int:
 
     own = [override for override in arguments.overrides if key_of(override) in OWN]
     of_run = [override for override in arguments.overrides if key_of(override) not in ("run", "tree", "out")]
-    cfg: ReportConfig = to_object(REPORT.compose(runs_listed(own)))
+    cfg: ReportConfig = settings_of(ReportConfig, own)
     if cfg.tree is not None and cfg.tree not in TREES[:5]:
         raise ConfigError(f"tree={cfg.tree}: the page shows {', '.join(TREES[:5])}")
     results_dir = Path(cfg.results_dir)

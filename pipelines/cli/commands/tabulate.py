@@ -2,50 +2,37 @@
 
 import argparse
 import dataclasses
-import functools
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
-from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import runs_listed
-from pipelines.cli.runs import RUN, load_config, run_config
-from pipelines.config.budget import BudgetConfig
-from pipelines.config.setting import Count, Folder, FreeText, check_settings
-from pipelines.engine.digests import differences_suffix, setting_differences
+from pipelines.cli.runs import load_config
+from pipelines.cli.settings import settings_of
+from pipelines.config.setting import Count, Folder, FreeText, OneOf, check_settings, results_folder
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay
-
-if TYPE_CHECKING:
-    from pipelines.report.figures.figure_4_6 import Planned
 
 
 @dataclass(frozen=True)
 class TabulateConfig:
     """What `otr-tabulate` takes."""
 
-    table: FreeText
-    figure: FreeText | None
-    results_dir: Folder
-    evaluate: bool
-    n_workers: Count | None
-    debug: bool
+    table: FreeText = "4.1"
+    figure: FreeText | None = None
     # This and the next three: of the figures that show the runs that one names
     run: list[FreeText] = field(default_factory=list)
     tree: FreeText = "pruned"
     inputs: list[FreeText] = field(default_factory=list)
     out: FreeText | None = None
-    budget: BudgetConfig | None = None
+    budget: Annotated[str | None, OneOf("standard", "thesis", "quick", "smoke")] = None  # of Figures 4.6 and 4.7
+    evaluate: bool = False
+    n_workers: Count | None = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-
-TABULATE = Composer(
-    "tabulate", {(None, "tabulate_schema"): TabulateConfig, (None, "budget_schema"): BudgetConfig}, checked=("budget",)
-)
 
 
 def do(arguments: argparse.Namespace) -> int:
@@ -54,13 +41,12 @@ def do(arguments: argparse.Namespace) -> int:
     from pipelines.report.tabulate import FIGURES_OF_A_BUDGET, reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
-    overrides = runs_listed([argument for argument in arguments.overrides if argument not in names])
-    cfg: TabulateConfig = to_object(TABULATE.compose(overrides))
+    cfg: TabulateConfig = settings_of(TabulateConfig, [each for each in arguments.overrides if each not in names])
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
     of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
-    given = {"budget": cfg.budget and cfg.budget.name, **dataclasses.asdict(of_runs)}
+    given = {"budget": cfg.budget, **dataclasses.asdict(of_runs)}
     unset = {"budget": None, **dataclasses.asdict(RunFigure([]))}
     takers = {"budget": FIGURES_OF_A_BUDGET, "tree": ("regions",), "inputs": ("regions",)}
     for setting, value in given.items():
@@ -75,13 +61,12 @@ def do(arguments: argparse.Namespace) -> int:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
             config = dataclasses.replace(load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
             different += replay(config, run_dir)
-    budget = cfg.budget.name if cfg.budget else None
     for report in reports:
         try:
             if report in RUN_FIGURES:
                 written = RUN_FIGURES[report](of_runs, results_dir, lambda run_dir: load_config(run_dir, 1))
             else:
-                written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
+                written = write_report(report, results_dir, cfg.budget, lambda run_dir: load_config(run_dir, 1))
         except MissingInputError as error:
             if "all" not in names:
                 raise
@@ -92,20 +77,3 @@ def do(arguments: argparse.Namespace) -> int:
             if path.suffix in (".md", ".txt"):
                 print(f"\n{path.read_text(encoding='utf-8')}")
     return 1 if different else 0
-
-
-@functools.cache
-def _planned(budget: str) -> list["Planned"]:
-    """Return the runs of the experiment that figures show; its overrides are the parts of their folders' names."""
-    from pipelines.report.figures.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
-
-    jobs = RUN.expand([f"+experiment={EXPERIMENT}", f"budget={budget}"], multirun=False)
-    usual = run_config([f"env={ENVIRONMENT}", "method=viper", f"budget={budget}"]).oracle
-    planned = []
-    for overrides in jobs:
-        given = dict(override.split("=", 1) for override in overrides)
-        oracle = json.loads(given["oracle"])
-        seed = f"seed-{given['seed']}{differences_suffix(setting_differences({'oracle': oracle}, {'oracle': usual}))}"
-        run = f"{ENVIRONMENT}/{given['method']}/depth-{given['depth']}/{budget}/{seed}"
-        planned.append(Planned(given["oracle"], given["method"], int(given["depth"]), run))
-    return planned

@@ -7,9 +7,9 @@ from typing import Any
 
 import otr
 from otr.clock import time_limit
-from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy
+from pipelines.cli.settings import settings_of
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
@@ -20,13 +20,11 @@ from pipelines.runs.questions import Answer, always, ranges
 from pipelines.runs.verify_run import VerifyConfig, certified_stage, compared, question_domain, verify_run
 from pipelines.stages.parse import policy_tree, read_program
 
-VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})
-
 
 def do(arguments: argparse.Namespace) -> int:
     """Check a run's certificate, or answer a question about a policy, and print what is proved."""
     overrides, of_env = without_environment(arguments)
-    cfg: VerifyConfig = to_object(VERIFY.compose(overrides))
+    cfg: VerifyConfig = settings_of(VerifyConfig, overrides)
     with time_limit(cfg.max_seconds, lambda: "what is asked was not answered"):
         if cfg.program is None and cfg.always is None and not cfg.range:
             if cfg.box is not None:

@@ -1,7 +1,7 @@
 """Figure 4.7: an AugTree policy of depth 2 for the lander as a program, before and after its tests are simplified."""
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import PlaysEvaluation, PlaysPruning, Rollout, play_evaluation, play_pruning
 from pipelines.play.spaces import action_names, feature_names
-from pipelines.report.figures.figure_4_6 import Planned
+from pipelines.report.figures.figure_4_6 import imitating_trees
 from pipelines.report.published import published
 from pipelines.report.text import page, write_file
 from pipelines.runs.derived import opened_run
@@ -28,7 +28,7 @@ DIGITS = 2
 
 
 def write_figure_4_7(
-    runs: pd.DataFrame, planned: Sequence[Planned], load_config: Callable[[Path], RunConfig], results_dir: Path
+    runs: pd.DataFrame, budget: str, load_config: Callable[[Path], RunConfig], results_dir: Path
 ) -> list[Path]:
     """Write the two programs with their returns and a picture of the simpler one under `results_dir/figures`.
 
@@ -37,7 +37,7 @@ def write_figure_4_7(
     to go, are those of the run's prune stream; no choice sees an episode that is reported. The return of the original
     is the one that the run recorded; all others are played. The arguments are those of `write_report`.
     """
-    run = _chosen(runs, planned, results_dir)
+    run = _chosen(imitating_trees(runs, budget), results_dir)
     run_dir = results_dir / "runs" / run.run
     config = load_config(run_dir)
     with opened_run(config, run_dir, "imitate") as whole:
@@ -84,12 +84,9 @@ def write_figure_4_7(
 COMMAND = ("+experiment=figure_4_6", "budget=quick", f"method={METHOD}", f"depth={DEPTH}")  # makes such a run
 
 
-def _chosen(runs: pd.DataFrame, planned: Sequence[Planned], results_dir: Path) -> Any:
+def _chosen(trees: pd.DataFrame, results_dir: Path) -> Any:
     """Return the row of the finished run with the best selection return of its tree."""
-    experiment = pd.DataFrame(
-        [run for run in planned if (run.method, run.depth) == (METHOD, DEPTH)], columns=Planned._fields
-    )
-    finished = experiment[["oracle", "run"]].merge(runs[runs["form"] == "tree"], on="run")
+    finished = trees[(trees["method"] == METHOD) & (trees["depth"] == DEPTH)]
     if finished.empty:
         raise MissingInputError(
             f"{results_dir}: no AugTree of depth 2 has been run on the lander.\n"

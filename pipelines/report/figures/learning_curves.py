@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from otr.control.dagger.run_folder import returns_so_far
-from pipelines.config.run import RunConfig
-from pipelines.engine.archive import MANIFEST
-from pipelines.engine.store import CONFIG, exists, read_csv, read_summary
+from pipelines.engine.store import exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
 from pipelines.report.figures.style import (
     COLOURS,
@@ -23,15 +19,12 @@ from pipelines.report.figures.style import (
     panel_and_label,
     set_legend,
 )
-from pipelines.runs.stage_table import stages_of
-from pipelines.training.checkpoints import evaluations_so_far
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Style = dict[str, Any]  # of a line
-FINISHED = {"under_way": "", "done": 0, "whole": 0}
 LINES = ("-", ":", "-.")  # once the colours are used up
 CROSS: Style = {"marker": "x", "markersize": 6, "markeredgewidth": 1.5}
 LOG_FROM = 8  # times that what one label spent is more than another: the axis is logarithmic
@@ -43,24 +36,19 @@ SOURCES = (
 )
 
 
-def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfig]) -> pd.DataFrame:
-    """Return a row for each judged policy of stages train and imitate, finished or under way.
+def load_curves(run_dirs: Sequence[Path]) -> pd.DataFrame:
+    """Return a row for each judged policy of the finished stages train and imitate.
 
     A run that critics have polished has rows of that polish instead, by all the environment steps that went into it:
     its oracle's, the imitation's and those that filled the replay buffer. Its first is the imitator.
 
     Columns: `panel` (the environment), `label` (method, depth, budget and what else is set, the steps apart, which a
-    curve shows), `run` (the folder), `spent` in units of
-    `unit`, `mean` and `std` (of the return; NaN where no deviation is kept), `chosen`, `final`, the return of the tree
-    over the evaluation episodes (NaN of an unfinished run), and `under_way`, `done` and `whole`: what is counted of a
-    stage under way (steps or rounds; empty of a finished one), how many of it are done, and how many there will be.
-
-    Args:
-        run_dirs: the runs' folders.
-        load_config: from a run's folder to the configuration that it is made with.
+    curve shows), `run` (the folder), `spent` in units of `unit`, `mean` and `std` (of the return; NaN where no
+    deviation is kept), `chosen`, and `final`, the return of the tree over the evaluation episodes (NaN of an unfinished
+    run).
 
     Raises:
-        MissingInputError: none of the runs has been judged in its training yet, or imitates.
+        MissingInputError: none of the runs has been trained, or imitates.
     """
     rows: list[dict[str, Any]] = []
     for run_dir in run_dirs:
@@ -69,28 +57,24 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
         final = summary.get("return_mean")
         if summary.get("polish", {}).get("by") == "critic":
             final = summary["polish"]["return_mean"]
-            about = {**place, "run": str(run_dir), "unit": STEPS, "std": float("nan"), "final": final, **FINISHED}
+            about = {**place, "run": str(run_dir), "unit": STEPS, "std": float("nan"), "final": final}
             rows += [about | row for row in _rows_of_polish(run_dir, summary)]
             continue
         for stage, file, unit, spent, mean, std, chosen in SOURCES:
-            judged: Sequence[Mapping[str, Any]]
-            if exists(run_dir / stage / file):
-                judged, done = read_csv(run_dir / stage / file), FINISHED
-            else:
-                judged, done = rows_under_way(run_dir, stage, load_config)
+            judged = read_csv(run_dir / stage / file) if exists(run_dir / stage / file) else []
             is_chosen = [str(row[chosen]) == "True" for row in judged]
             last_best = max((i for i, best in enumerate(is_chosen) if best), default=-1)
             for i, row in enumerate(judged):
                 rows.append({
                     **place, "run": str(run_dir), "unit": unit, "spent": float(row[spent]),
                     "mean": float(row[mean]), "std": float(row[std]) if std else float("nan"), "chosen": i == last_best,
-                    "final": float("nan") if final is None else float(final), **done,
+                    "final": float("nan") if final is None else float(final),
                 })  # fmt: skip
     if not rows:
         where = f"{commonpath([path.absolute() for path in run_dirs])}: " if run_dirs else ""
         raise MissingInputError(
-            f"{where}no learning curve is kept there; one "
-            "under way begins with its first evaluation, and programs (method=program) are not trained"
+            f"{where}no learning curve is kept there; a run has one once it is trained, and programs "
+            "(method=program) are not trained"
         )
     return pd.DataFrame(rows)
 
@@ -109,32 +93,6 @@ def _rows_of_polish(run_dir: Path, summary: Mapping[str, Any]) -> list[dict[str,
         for row in read_csv(run_dir / "polish" / "candidates.csv")
         for iteration in [int(row["iteration"])]
     ]
-
-
-def rows_under_way(
-    run_dir: Path, stage: str, load_config: Callable[[Path], RunConfig]
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return the rows that a stage under way will write at its end, as far as they go, and how far that is.
-
-    They are with the checkpoints of the run, which are only read. There are none where the run has no such
-    stage, or has not come to it.
-    """
-    if not exists(run_dir / CONFIG):
-        return [], FINISHED
-    results_dir = run_dir.absolute().parents[5]
-    place = str(run_dir.absolute().relative_to(results_dir))
-    config = dataclasses.replace(load_config(run_dir), results_dir=str(results_dir), folder=place)
-    found = stages_of(config.method.name).get(stage)
-    inputs = {name: run_dir / name for name in found.inputs} if found else {}
-    if found is None or not found.checkpoints or not all(exists(folder / MANIFEST) for folder in inputs.values()):
-        return [], FINISHED
-    folder = found.checkpoints(found.of(config), inputs)
-    if stage == "train":
-        evaluations, n_steps = evaluations_so_far(folder)
-        return evaluations, {"under_way": "steps", "done": n_steps, "whole": config.train.steps}
-    played = [{"n_rows": n_rows, "selection_mean": mean, "chosen": False} for n_rows, mean in returns_so_far(folder)]
-    n_rounds = config.imitate.n_rounds
-    return played, {"under_way": "rounds", "done": min(len(played), n_rounds), "whole": n_rounds}
 
 
 def learning_curves(curves: pd.DataFrame) -> Figure:
@@ -167,27 +125,13 @@ def learning_curves(curves: pd.DataFrame) -> Figure:
             panel.set_xscale("log")
         panel.xaxis.set_major_formatter(lambda value, _: _count(value))
     handles = [legend_line(label, linewidth=1.8, **styles[label]) for label in labels]
-    is_under_way = curves["under_way"] != ""
-    so_far = ", or the best so far" if is_under_way.any() else ""
-    handles.append(
-        legend_line(f"chosen{so_far}", color="none", marker="o", markerfacecolor="#444444", markeredgecolor="white")
-    )
+    handles.append(legend_line("chosen", color="none", marker="o", markerfacecolor="#444444", markeredgecolor="white"))
     if curves["final"].notna().any():
         handles.append(legend_line("its tree, evaluated", color="#444444", linestyle="none", **CROSS))
     set_legend(figure, handles, 2)
-    figure.suptitle(_title(curves), fontsize=NORMAL)
+    if (n_runs := curves["run"].nunique()) > 1:
+        figure.suptitle(f"{n_runs} runs; thick: their mean", fontsize=NORMAL)
     return figure
-
-
-def _title(curves: pd.DataFrame) -> str:
-    """Return how many runs there are, and how far those under way have come."""
-    n_runs = curves["run"].nunique()
-    parts = [f"{n_runs} runs; thick: their mean"] if n_runs > 1 else []
-    stages = curves[curves["under_way"] != ""].drop_duplicates(["run", "under_way"])
-    for counted, own in stages.groupby("under_way"):
-        several = f"{len(own)} " if n_runs > 1 else ""
-        parts.append(f"{several}under way, {own['done'].sum():,.0f} of {own['whole'].sum():,.0f} {counted}")
-    return "; ".join(parts)
 
 
 def _draw(panel: Axes, curves: pd.DataFrame, style: Style) -> None:

@@ -40,7 +40,7 @@ class RunFigure:
 
 def write_curves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
     """Write the learning curves of runs, or of all runs below folders, as PNG, or as what `out` ends in."""
-    curves = load_curves(runs_below(asked.run, results_dir), load_config)
+    curves = load_curves(runs_below(asked.run, results_dir))
     return _written(learning_curves(curves), "curves", asked, results_dir)
 
 

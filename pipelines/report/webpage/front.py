@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from pipelines.config.run import RunConfig
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES
 from pipelines.report.figures.learning_curves import STEPS, load_curves
@@ -49,13 +48,11 @@ def plain_table(caption: str, head: Sequence[str], lines: Iterable[Sequence[str]
     )
 
 
-def figures_data(
-    run_dirs: Sequence[Path], runs: pd.DataFrame, load_config: Callable[[Path], RunConfig]
-) -> dict[str, Any]:
+def figures_data(run_dirs: Sequence[Path], runs: pd.DataFrame) -> dict[str, Any]:
     """Return what the page draws: by figure, by environment, the axes' names and the lines' points."""
     figures: dict[str, Any] = {}
     try:
-        curves = load_curves(run_dirs, load_config)
+        curves = load_curves(run_dirs)
         curves = curves[curves["unit"] == STEPS]
         figures["curves"] = {
             TASK_NAMES.get(panel, panel): _lines(

@@ -127,7 +127,7 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
             "<code>otr-verify run=...</code> checks it again in rational arithmetic.</p>"
             + plain_table("Certificates", lines[0], lines[1:])
         )
-    figures = figures_data([each.folder for each in shown], own, load_config)
+    figures = figures_data([each.folder for each in shown], own)
     drawn = "".join(
         f'<h3>{escape(title)}</h3><div id="figure-{name}"></div>' for name, title in FIGURES.items() if name in figures
     )

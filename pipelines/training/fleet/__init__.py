@@ -1,1 +1,1 @@
-"""Many runs of soft actor-critic trained as one: stacked networks, batched products, and every run on its own."""
+"""Many runs of the soft actor-critic of `otr.control.sac` trained as one, with their checkpoints and progress."""

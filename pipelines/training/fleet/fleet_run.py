@@ -1,6 +1,12 @@
-"""One run of a fleet: its history, what it has learnt, its replay file, and the checkpoint that holds all of it."""
+"""One run of a fleet: its history, what it has learnt, its replay file, and the checkpoint that holds all of it.
+
+The replay file is memory-mapped and its own checkpoint. Its capacity is the buffer's size and a segment more, so that a
+segment overwrites no row that the checkpoint before it could sample: after a kill the run goes on from that checkpoint
+and writes the same rows again.
+"""
 
 import hashlib
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,14 +16,15 @@ from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
 from torch import Tensor
 
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.replay_buffer import RowLayout
 from pipelines.config.algo import SacConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
 from pipelines.engine.store import json_text, read_json
+from pipelines.errors import PipelineError
 from pipelines.tracking.tracker import Tracker
 from pipelines.training.checkpoints import History, damaged_checkpoint, last_segment, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
-from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
 from pipelines.training.settings import TrainSettings
 
 STATE_FILE, REPLAY_FILE, DIGESTS_FILE = "learner.safetensors", "replay.bin", "replay.json"
@@ -57,7 +64,7 @@ class FleetRun:
         self._digests: list[RowsDigest] = []
         self.tracker = Tracker(config)
         self.tracker.catch_up(self.history.progress, self.history.evaluations)
-        self.rows = open_rows(self.folder / REPLAY_FILE, self._capacity, layout, config.train.steps, self.n_steps)
+        self.rows = _open_rows(self.folder / REPLAY_FILE, self._capacity, layout, config.train.steps, self.n_steps)
         if segment is not None and (segment / DIGESTS_FILE).is_file():
             self._digests = [RowsDigest(*rows) for rows in read_json(segment / DIGESTS_FILE)]
             self._compare_rows()
@@ -125,3 +132,24 @@ class FleetRun:
     @property
     def _capacity(self) -> int:
         return self.buffer_size + segment_steps(self.config)
+
+
+def _open_rows(path: Path, capacity: int, layout: RowLayout, n_steps: int, n_written: int = 0) -> np.memmap:
+    """Return a run's rows, (capacity, width) float32; the file takes the disk of all `n_steps` steps at once.
+
+    Raises:
+        OSError: the disk has no room for them. A disk that fills up later would end the process by a signal.
+        PipelineError: the run has transitions (`n_written`), and the file is gone or of another size.
+    """
+    shape = (capacity, layout.width)
+    fits = path.exists() and path.stat().st_size == 4 * capacity * layout.width
+    if n_written and not fits:
+        raise PipelineError(
+            f"{path}: the transitions of {n_written:,} steps are gone; bring the file back, or delete {path.parent} to "
+            "train from the beginning"
+        )
+    with path.open("r+b" if fits else "wb") as file:
+        file.truncate(4 * capacity * layout.width)
+        if hasattr(os, "posix_fallocate"):  # not on macOS
+            os.posix_fallocate(file.fileno(), 0, 4 * min(capacity, n_steps) * layout.width)
+    return np.memmap(path, dtype=np.float32, mode="r+", shape=shape)

@@ -12,9 +12,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from otr.control.sac.stacked_tensors import multiply, new_stack
 from otr.control.soft_trees.cascading_tree import CascadingTree
 from otr.control.soft_trees.relaxed_program import RelaxedProgram
-from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import SoftModule
 
 Stacks = Mapping[str, Tensor]

@@ -12,6 +12,11 @@ import torch
 from torch import Tensor
 
 import otr
+from otr.control.sac.actors import FleetActors, ModuleActors
+from otr.control.sac.autoreset import Autoreset, Step
+from otr.control.sac.random_streams import Draws, Streams
+from otr.control.sac.replay_buffer import FleetReplay, RowLayout
+from otr.control.sac.sac import FleetSac, Shapes
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.hardened_methods import ExpertsConfig, SoftConfig
@@ -19,16 +24,12 @@ from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
 from pipelines.play.episodes import Rollout
 from pipelines.play.selection import evaluate_network, units_of_box
-from pipelines.play.vector_envs import Autoreset, Step, make_vector_env
+from pipelines.play.vector_envs import make_vector_env
 from pipelines.training.estimates import learning_starts, segment_steps
 from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.fleet_run import FleetRun
-from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.random_streams import Draws, Streams
-from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
-from pipelines.training.fleet.sac import FleetSac, Shapes
-from pipelines.training.fleet.stacked_actors import SoftActors, SoftTraining
+from pipelines.training.fleet.soft_actors import SoftActors, SoftTraining
 from pipelines.training.settings import TrainSettings
 from pipelines.training.soft_trees import HardeningModule, evaluate_hardened, shape_of
 
@@ -81,17 +82,20 @@ class FleetTrainer:
             config.actor.negative_slope,
             algo.tau,
             bool(config.actor.links),
-            _soft_training(config),
             layer_norm=algo.critic_norm == "layer",
             actor_value=algo.actor_value,
             actor_delay=algo.actor_delay,
         )
         settings, generators = [run.settings for run in runs], [run.initial_generator() for run in runs]
-        experts: ModuleActors | None = None
+        actor: FleetActors | None = None
+        numbers = layout.n_inputs, layout.n_actions
         if isinstance(config.method, ExpertsConfig):
-            shape = layout.n_inputs, layout.n_actions, config.depth, config.method.balance
-            experts = ModuleActors(settings, [ExpertsActor(*shape, generator) for generator in generators])
-        self._learner = FleetSac(shapes, settings, runs[0].n_updates, experts)
+            shape = *numbers, config.depth, config.method.balance
+            actor = ModuleActors(settings, [ExpertsActor(*shape, generator) for generator in generators])
+        elif isinstance(config.method, SoftConfig):
+            training = SoftTraining(shape_of(config), config.method, config.train.steps)
+            actor = SoftActors(settings, training, *numbers, algo.batch_size)
+        self._learner = FleetSac(shapes, settings, runs[0].n_updates, actor)
         for r, run in enumerate(runs):
             if run.tensors:
                 self._learner.load(r, run.tensors)
@@ -287,10 +291,3 @@ class _EpisodeSums:
             self.returns[i // self._n_envs].append(float(self._return[i]))
             self.lengths[i // self._n_envs].append(int(self._length[i]))
             self._return[i], self._length[i] = 0.0, 0
-
-
-def _soft_training(config: TrainSettings) -> SoftTraining | None:
-    """Return what a run's actor is trained as where it is a soft tree."""
-    if not isinstance(config.method, SoftConfig):
-        return None
-    return SoftTraining(shape_of(config), config.method, config.train.steps)

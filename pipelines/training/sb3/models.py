@@ -7,7 +7,6 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 import torch
-from sb3_contrib import TRPO
 from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
@@ -21,11 +20,9 @@ from pipelines.config.algo import (
     DqnConfig,
     GradientConfig,
     OffPolicyConfig,
-    OnPolicyConfig,
     PpoConfig,
     SacConfig,
     Td3Config,
-    TrpoConfig,
 )
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete
@@ -41,7 +38,6 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 
 ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
     PpoConfig: PPO,
-    TrpoConfig: TRPO,
     DqnConfig: DQN,
     SacConfig: SAC,
     Td3Config: TD3,
@@ -90,7 +86,7 @@ def _check_actions(config: TrainSettings, discrete: bool) -> None:
 
 def build_env(config: TrainSettings) -> VecEnv:
     """Return new training environments: one, or as many side by side as PPO is set to use, normalised if it is set."""
-    n_envs = config.algo.n_envs if isinstance(config.algo, OnPolicyConfig) else 1
+    n_envs = config.algo.n_envs if isinstance(config.algo, PpoConfig) else 1
 
     def make() -> gym.Env:
         return Monitor(make_training_env(config.env, rescale_inputs=config.actor.rescale_inputs))
@@ -101,7 +97,7 @@ def build_env(config: TrainSettings) -> VecEnv:
 
 def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
     """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
-    critics = "vf" if isinstance(algo, OnPolicyConfig) else "qf"
+    critics = "vf" if isinstance(algo, PpoConfig) else "qf"
     slope = actor.config.actor.negative_slope
     widths = actor.net_arch()
     kwargs: dict[str, Any] = {
@@ -111,7 +107,7 @@ def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
     }
     if algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
-        epsilon = {"eps": 1e-5} if isinstance(algo, OnPolicyConfig) else {}
+        epsilon = {"eps": 1e-5} if isinstance(algo, PpoConfig) else {}
         kwargs["optimizer_kwargs"] = {"weight_decay": algo.weight_decay, **epsilon}
     return kwargs
 

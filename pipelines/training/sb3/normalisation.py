@@ -1,4 +1,4 @@
-"""States and rewards normalised by what training has met, under PPO and TRPO: Stable-Baselines3's VecNormalize.
+"""States and rewards normalised by what training has met, under PPO: Stable-Baselines3's VecNormalize.
 
 States are not clipped, so that what training sees is an affine function of the environment's own states, and the actor
 that is kept reads these: the function is folded into it.
@@ -10,7 +10,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from pipelines.config.algo import OnPolicyConfig
+from pipelines.config.algo import PpoConfig
 from pipelines.play.selection import InputUnits, units_of_box
 from pipelines.training.settings import TrainSettings
 
@@ -18,7 +18,7 @@ from pipelines.training.settings import TrainSettings
 def normalised(env: VecEnv, config: TrainSettings) -> VecEnv:
     """Return the environments of a run, normalised where its algorithm is set so."""
     algo = config.algo
-    if not (isinstance(algo, OnPolicyConfig) and algo.normalise):
+    if not (isinstance(algo, PpoConfig) and algo.normalise):
         return env
     return VecNormalize(env, clip_obs=np.inf, gamma=algo.gamma)
 

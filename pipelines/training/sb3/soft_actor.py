@@ -1,4 +1,4 @@
-"""An actor that is a soft tree, under PPO, TRPO and SAC of Stable-Baselines3.
+"""An actor that is a soft tree, under PPO and SAC of Stable-Baselines3.
 
 The tree gives the logits, or the means of the Gaussian, itself; the critic is the usual MLP. What changes in the course
 of training (how hard the tests are, which of pi-PRL's parameters learn, when its structure is chosen) is decided at the

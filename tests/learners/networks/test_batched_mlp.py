@@ -148,15 +148,6 @@ def test_a_network_does_not_depend_on_its_company(fingerprints, settings):
     assert np.abs(networks[2] - networks[0]).max() > 0.01  # another seed
 
 
-def test_dense_inputs_are_independent_up_to_rounding():
-    rng = np.random.default_rng(0)
-    X = rng.normal(size=(200, 12))
-    Y = (X @ rng.normal(size=(12, 3)) > 0).astype(float)
-    together = train_many(X, Y, [0, 1], MlpSettings(schedule=QUICK)).networks[1][1]
-    alone = train_many(X, Y[:, 1], [1], MlpSettings(schedule=QUICK)).networks[0][0]
-    np.testing.assert_allclose(alone.forward(X), together.forward(X), atol=1e-4)
-
-
 def test_a_row_without_its_label_contributes_nothing(fingerprints):
     """Whatever else the row holds: with other inputs in it, the label's network is the same."""
     X, Y = fingerprints

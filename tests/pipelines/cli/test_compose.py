@@ -1,14 +1,11 @@
 """Jobs that are composed together come out as if each were composed alone, whatever stands for several."""
 
-import itertools
-
 import pytest
 from omegaconf import OmegaConf
 
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.fits import FIT
 from pipelines.cli.runs import RUN
-from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
 
 METHOD_DEPTHS = {name: "depth=[3,3]" if name == "cdt" else "depth=0" if name == "linear" else "depth=4"
@@ -51,16 +48,6 @@ def test_values_are_put_in_as_hydra_does(workflow, own, values):
     config, yaml = alone(workflow, [*values, *own])
     assert job.config_yaml == yaml
     assert job.config.settings() == config.settings()
-
-
-@pytest.mark.slow  # `make smoke` does runs of all of them
-def test_every_environment_takes_a_method_in():
-    names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
-    methods = itertools.cycle(name for name in METHOD_DEPTHS if name != "pid")
-    for env, method in zip(names, methods, strict=False):
-        overrides = [f"env={env}", f"method={method}", METHOD_DEPTHS[method], "budget=smoke"]
-        (job,) = RUN.jobs([overrides])
-        assert job.config_yaml == alone(RUN, overrides)[1]
 
 
 def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():

@@ -1,8 +1,13 @@
 """Overrides as text: what a sweep of them makes, and how values are quoted."""
 
+from dataclasses import dataclass, field
+
 import pytest
 
-from pipelines.cli.overrides import combinations, combined, parse, path_quoted, quoted, with_path_quoted
+from pipelines.cli.compose import USAGE_ERRORS, message_of
+from pipelines.cli.overrides import combinations, parse, quoted, with_path_quoted
+from pipelines.cli.settings import settings_of
+from pipelines.config.setting import FreeText, Positive
 from pipelines.errors import ConfigError
 
 
@@ -24,15 +29,6 @@ def test_a_sweep_makes_all_combinations_the_last_key_fastest():
             read(word)
 
 
-def test_overrides_of_one_sweep_make_just_its_jobs():
-    assert combined([["a=1", "b=2"]]) == ["a=1", "b=2"]
-    assert combined([["a=1", "b=2"], ["a=1", "b=3"]]) == ["-m", "a=1", "b=2,3"]
-    members = [[f"a={i}", f"b={j}"] for i in (1, 2) for j in (3, 4)]
-    assert combined(members) == ["-m", "a=1,2", "b=3,4"]
-    assert combined(members[:3]) is None  # the product would be four
-    assert combined([["a=1"], ["b=1"]]) is None
-
-
 @pytest.mark.parametrize(
     ("text", "value"), [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")]
 )
@@ -47,5 +43,32 @@ def test_paths_are_quoted_and_nothing_else():
     assert with_path_quoted("program=runs/s~1/p.txt,q r") == "program='runs/s~1/p.txt','q r'"
     assert with_path_quoted("model=ü.zip") == "model='ü.zip'"  # a letter, but none of Hydra's
     assert with_path_quoted("results_dir=my runs") == "results_dir='my runs'"
-    assert path_quoted("run=runs/seed-0~1") == "run='runs/seed-0~1'"
-    assert [path_quoted(override) for override in ("run=", "out=null", "format=c")] == ["run=", "out=null", "format=c"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    out: FreeText | None = "page"
+    run: list[FreeText] = field(default_factory=list)
+    range: bool = False
+    seconds: Positive | None = None
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ([], Settings()),
+        (["out=runs/seed-0~1 (a), b", "range=true", "seconds=2"], Settings("runs/seed-0~1 (a), b", [], True, 2.0)),
+        (["out='a b'", "run=a", "run=[b~1, 'c d']"], Settings("a b", ["a", "b~1", "c d"])),
+        (["out"], "out is no key=value"),
+        (["outt=a"], "there is no key 'outt'. Did you mean out"),
+        (["range=1,2"], "range=1,2: give one value"),
+        (["seconds=fast"], "seconds=fast: give a number"),
+    ],
+)
+def test_settings_of_a_command_are_texts_as_written_and_lists_of_them(words, settings):
+    if isinstance(settings, Settings):
+        assert settings_of(Settings, words) == settings
+    else:
+        with pytest.raises(USAGE_ERRORS) as caught:
+            settings_of(Settings, words)
+        assert settings in message_of(caught.value)

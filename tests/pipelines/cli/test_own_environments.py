@@ -1,8 +1,7 @@
-"""Environments that conf/env has no file for: any registered id, `module:Id`, and a file of one's own."""
+"""Environments that conf/env has no file for: any registered id, and `module:Id`."""
 
 import dataclasses
 import importlib
-import json
 import re
 import sys
 from pathlib import Path
@@ -26,20 +25,6 @@ from tests.pipelines.conftest import otr_command
 
 MODULE = "tests.pipelines.own_envs"
 CART = f"env={MODULE}:Cart-v0"
-HEAVY = """\
-# @package _global_
-defaults:
-  - /env_schema@env
-  - override /algo: ars
-  - _self_
-env:
-  name: heavy
-  task: continuous
-  id: tests.pipelines.own_envs:Cart-v0
-  kwargs: {mass: 3.0}
-  feature_names: [x, v]
-  action_names: [push]
-"""
 
 
 def job(*words):
@@ -175,69 +160,12 @@ def test_a_dictionary_is_flattened_and_labels_begin_at_zero(tmp_path):
     assert config["env"]["feature_names"] == ["on_right0", "on_right1", "speed"]
 
 
-def test_a_file_of_ones_own_and_a_sweep(tmp_path):
-    (tmp_path / "settings/env").mkdir(parents=True)
-    (tmp_path / "settings/env/heavy.yaml").write_text(HEAVY)
-    words = ("--config-dir", "settings", "depth=2", "budget=smoke", "n_workers=1", "evaluate.n_episodes=3")
-    done = otr_command("otr-run", "-m", f"env=heavy,{MODULE}:Cart-v0", "algo=ars", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    (heavy,) = tmp_path.glob("results/runs/heavy/otr/depth-2/smoke-ars/seed-0~*/summary.json")
-    summary = json.loads(heavy.read_text())
-    assert (summary["env"], summary["env_id"]) == ("heavy", f"{MODULE}:Cart-v0")
-    assert " x" in (heavy.parent / "prune/program.txt").read_text()
-    (light,) = tmp_path.glob("results/runs/*Cart-v0/otr/depth-2/smoke-ars/seed-0~*")
-    assert " position" in (light / "prune/program.txt").read_text()
-    again = otr_command("otr-run", "env=heavy", *words, "algo=ars", cwd=tmp_path)
-    assert again.stdout.count("done before") == 4
-    export = otr_command("otr-export", f"run={heavy.parent}", "format=structured_text", cwd=tmp_path)
-    assert export.returncode == 0 and "v : LREAL" in export.stdout, export.stderr
-    leaves = otr_command("otr-tabulate", "leaves", f"run={heavy.parent}", cwd=tmp_path)
-    assert f"Run: otr-run -m env=heavy,{MODULE}:Cart-v0 algo=ars" in leaves.stderr and " leaves=true" in leaves.stderr
-    refused = otr_command("otr-run", "env=heavi", "--config-dir", "settings", cwd=tmp_path)
-    assert refused.stderr == "otr-run: env=heavi: there is no such environment. Did you mean heavy?\n"
-    nowhere = otr_command("otr-run", "env=heavy", "--config-dir", "nowhere", cwd=tmp_path)
-    assert "nowhere: there is no such folder" in nowhere.stderr
-
-
-def test_a_file_of_ones_own_chooses_its_algorithm_with_all_that_goes_with_it(tmp_path):
-    (tmp_path / "env").mkdir()
-    place = f"hydra.searchpath=[file://{tmp_path}]"
-    (tmp_path / "env" / "heavy.yaml").write_text(HEAVY)
-    (tmp_path / "env" / "short.yaml").write_text(HEAVY + "train: {steps: 777}\n")
-    by_file = job("env=heavy", place, "depth=2", "budget=quick").config
-    by_command = job("env=heavy", place, "depth=2", "budget=quick", "algo=ars").config
-    assert by_file.algo.name == "ars" and by_file.actor.dense == "input"
-    assert (by_file.train, by_file.actor) == (by_command.train, by_command.actor)
-    for words in ((), ("algo=ars",)):
-        assert job("env=short", place, "depth=2", "budget=quick", *words).config.train.steps == 777
-    assert job("env=short", place, "depth=2", "budget=quick", "train.steps=888").config.train.steps == 888
-
-
 def test_a_mistake_in_an_environment_is_told_with_its_line(command, tmp_path):
     failed = command("run", f"env={MODULE}:FailsLater-v0", "depth=1", "budget=smoke", f"results_dir={tmp_path}")
     assert failed.returncode == 1
     lines = Path("tests/pipelines/own_envs.py").read_text().splitlines()
     number = 1 + next(i for i, line in enumerate(lines) if 'KeyError("goal")' in line)
     assert re.search(rf"KeyError: 'goal' \(.*own_envs\.py, line {number}, in step\)", failed.stderr.replace("\n", " "))
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        (("env:\n  name: heavy", "env:\n  name: [heavy"), r"heavy.yaml, line \d+: this is no YAML: expected"),
-        (("feature_names", "feature_name"), r"env has no setting 'feature_name'. Did you mean feature_names"),
-        (("  task: continuous\n", ""), r"heavy.yaml: env.task is missing; docs/own.md has one to copy"),
-        (("task: continuous", "task: heavy"), r"env.task=heavy: conf/budget has no such row; it is discrete for"),
-        (("# @package _global_\n", ""), r"its first line has to be\n  # @package _global_"),
-        (("env:\n", "environment:\n"), r"it has no settings below env:"),
-        (("name: heavy", "name: pendulum"), r"env.name=pendulum is the name of an environment that ships with otr"),
-    ],
-)
-def test_a_mistake_in_an_own_file_is_told_in_its_words(tmp_path, changes, told):
-    (tmp_path / "env").mkdir()
-    (tmp_path / "env" / "heavy.yaml").write_text(HEAVY.replace(*changes))
-    with pytest.raises(ConfigError, match=told):
-        job("env=heavy", f"hydra.searchpath=[file://{tmp_path}]", "depth=0")
 
 
 @pytest.mark.parametrize(

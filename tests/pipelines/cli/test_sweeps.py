@@ -1,22 +1,16 @@
-"""Sweeps as commands: the same jobs under every launcher, killed workers, sweeps side by side, jobs as a file."""
+"""Sweeps as commands: the same jobs under every launcher, killed workers, sweeps side by side."""
 
 import os
 import re
-import shlex
 import signal
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
-from pipelines.cli.jobs_file import job_command
 from pipelines.config.conf_dir import CONF_DIR
-from pipelines.engine.store import read_json
-from pipelines.runs.run_job import RunJob
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, STAGES, THREE, children, digests, start, times_made, wait_for
 
@@ -32,14 +26,6 @@ def one_by_one(tmp_path_factory):
     found = digests(folder / "results")
     assert len(found) == 3 * (4 + 3 + 3 + 3)  # of the stages in order; critics are the fourth of train
     return found
-
-
-@pytest.mark.slow  # the test of the sbatch text takes the same way
-def test_slurms_launcher_leaves_the_same_bytes(one_by_one, tmp_path):
-    done = otr_program("otr-run", *THREE, "launcher=submitit_local", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 jobs: 3 done, 0 failed" in done.stdout
-    assert digests(tmp_path / "results") == one_by_one
 
 
 @LINUX
@@ -85,34 +71,6 @@ def test_hydra_composes_nothing_for_a_sweep_s_processes(tmp_path, monkeypatch, l
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 jobs: 2 done, 0 failed" in done.stdout
     assert not any((tmp_path / "results/sweeps").iterdir())  # the pickled tasks are gone
-
-
-def test_jobs_file_does_the_jobs_that_are_left(tmp_path):
-    results = tmp_path / "it's here, = there"  # what shells and Hydra both must not take apart
-    words = (*PROGRAMS, "launcher=joblib")
-    planned = otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
-    assert planned.returncode == 0, planned.stderr
-    assert "xargs -0 -P $(nproc)" in planned.stdout and "sbatch --array=1-2 " in planned.stdout
-    lines = (tmp_path / "jobs.txt").read_text().splitlines()
-    assert [shlex.split(line)[:5] for line in lines] == [
-        ["otr-run", "env=mountaincar", "method=program", f"method.program={name}", "budget=smoke"]
-        for name in ("mountaincar", "mountaincar_simplified")
-    ]
-    (use,) = (line.strip() for line in planned.stdout.splitlines() if "xargs" in line)
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    (tmp_path / "jobs.txt").write_text(f"{lines[0]}\n")
-    subprocess.run(["sh", "-c", use], cwd=tmp_path, env={**os.environ, "PATH": path}, check=True, timeout=120)
-    (summary,) = results.glob("runs/mountaincar/**/summary.json")
-    assert read_json(summary)["program"] == "mountaincar"
-    otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
-    assert (tmp_path / "jobs.txt").read_text().splitlines() == lines[1:]
-
-
-def test_a_jobs_command_is_for_one_job_among_others(tiny):
-    job = RunJob(tiny(results_dir="results"), "runs/one", "")
-    assert job_command(job, ["env=hopper", "launcher=slurm", "hydra.launcher.partition=cpu", "n_workers=2"]) == (
-        "otr-run env=hopper n_workers=2 side_by_side=true results_dir=results"
-    )
 
 
 SBATCH = {  # what submitit gives by itself is not listed

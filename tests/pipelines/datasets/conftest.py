@@ -14,7 +14,6 @@ import pytest
 from pipelines.datasets import catalogue, load
 from pipelines.datasets.catalogue import FILES, git_blob_hash
 from pipelines.datasets.dataset import PARTS
-from pipelines.datasets.rebuild import can_rebuild
 
 ROOT = Path(__file__).parents[3]
 # Found before a test can change it.
@@ -36,13 +35,6 @@ def real_data(monkeypatch: pytest.MonkeyPatch) -> Path:
         pytest.skip(f"{REAL_DATA} has no lcn/HIV_split; set OTR_DATA_DIR to a folder with the real files")
     monkeypatch.setenv("OTR_DATA_DIR", str(REAL_DATA))
     return REAL_DATA
-
-
-@pytest.fixture
-def rdkit_at_hand() -> None:
-    """Skip where RDKit is not installed."""
-    if not can_rebuild():
-        pytest.skip("RDKit is not installed: pip install 'otr[molecules]'")
 
 
 class Server:
@@ -85,10 +77,9 @@ class Server:
 
 @pytest.fixture
 def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
-    """Give a server that the addresses of all files lead to: /pinned and /master for LCN's, /chemprop for SMILES."""
+    """Give a server that the addresses of all files lead to: /pinned and /master for LCN's."""
     server = Server()
     monkeypatch.setattr(catalogue, "LCN_ROOTS", (f"{server.root}/pinned", f"{server.root}/master"))
-    monkeypatch.setattr(catalogue, "CHEMPROP_ROOT", f"{server.root}/chemprop")
     yield server
     server.close()
 

@@ -17,18 +17,16 @@ from pipelines.cli.runs import load_config
 from pipelines.engine.archive import file_digest, is_whole, opened, pack, read_manifest, verified_manifest
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage, _twin, run_stage
-from pipelines.engine.store import ARCHIVE, CONFIG, archive_files, exists, read_bytes, read_csv, read_json, write_json
+from pipelines.engine.store import ARCHIVE, CONFIG, archive_files, exists, read_bytes, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.runs.derived import derive, opened_run
 from pipelines.runs.finished_run import tree_of
-from pipelines.stages.oracle import load_oracle
 from pipelines.training.critics import CRITICS, load_critics
 from tests.committed import copy_run
 
 PENDULUM = "pendulum/otr/depth-6/quick/seed-0"
 WIDE = "pendulum/otr/depth-32/quick/seed-0"
-ORACLE = "pendulum/otr/depth-256-256/quick/seed-0"
 VIPER = "pendulum/viper/depth-6/quick/seed-0"
 WALKER = "walker2d/otr/depth-32/standard-ars/seed-5"
 
@@ -108,19 +106,6 @@ def test_the_pruned_tree_of_a_wide_network_is_kept_as_its_paths(command, tmp_pat
         assert files_of(whole / "prune") == {name: before[name] for name in before if name != "tree.svg"}
 
 
-def test_files_are_read_from_where_they_lie(run):
-    def read():
-        return [read_json(run / "evaluate/report.json"), read_csv(run / "train/progress.csv"),
-                load_actor(run / "train").weights[0].tolist(), verified_manifest(run / "map")]  # fmt: skip
-
-    before = read()
-    pack_run(run)
-    assert read() == before
-    assert exists(run / "train/manifest.json") and not exists(run / "train/other.json")
-    with pytest.raises(PipelineError, match=r"other.json is not there"):
-        read_json(run / "train/other.json")
-
-
 def test_what_is_made_again_otherwise_is_refused(packed):
     config = load_config(packed, None)
 
@@ -196,30 +181,6 @@ def test_a_damaged_archive_is_named_with_the_way_out(packed):
             message = rf"{ARCHIVE} cannot be read: .*\nRestore it, or delete the folder {packed}"
             with pytest.raises(PipelineError, match=message):
                 read_manifest(packed / "evaluate")
-
-
-def test_a_run_that_imitates_finds_its_packed_oracle(tmp_path):
-    copy_run(VIPER, tmp_path / "runs" / VIPER)
-    copy_run(ORACLE, tmp_path / "runs" / ORACLE)
-    before = load_oracle(tmp_path / "runs" / VIPER / "oracle", tmp_path)
-    pack(tmp_path / "runs" / ORACLE)
-    pack_run(tmp_path / "runs" / VIPER)
-    again = load_oracle(tmp_path / "runs" / VIPER / "oracle", tmp_path)
-    assert [W.tolist() for W in again.weights] == [W.tolist() for W in before.weights]
-
-
-def test_commands_find_a_packed_run_as_it_was(packed, tmp_path, command):
-    before = (packed / "summary.json").read_bytes()
-    words = ("env=pendulum", "depth=6", "budget=quick", f"results_dir={tmp_path}")
-    assert "1 job: 1 to skip" in command("plan", *words).stdout
-    done = command("run", *words)
-    assert done.returncode == 0 and "train: done before" in done.stdout and "format=text\n" in done.stdout
-    assert (packed / "summary.json").read_bytes() == before
-    again = command("tabulate", "table=4.1", "evaluate=true", f"results_dir={tmp_path}", "n_workers=1")
-    assert again.returncode == 0 and again.stdout.count("episodes played again, as recorded") == 3, again.stderr
-    for tree in ("full", "pruned", "compact"):
-        assert command("export", f"run={packed}", "format=c", f"tree={tree}").returncode == 0
-    assert not [path for path in packed.iterdir() if path.is_dir()]
 
 
 def test_a_packed_run_gets_a_certificate_and_another_run_shares_its_stages(run, tmp_path, command):

@@ -5,7 +5,7 @@ import pytest
 
 from otr.control.environments import Stepped, VectorEnv
 from pipelines.config.env import EnvConfig
-from pipelines.play.classic_control import EQUAL_IDS, ClassicControlVectorEnv
+from pipelines.play.classic_control import EQUAL_IDS
 from pipelines.play.vector_envs import make_vector_env
 
 N_ENVS = 20
@@ -79,17 +79,3 @@ def test_the_cars_wall_and_its_first_step():
         states = expected.states
         at_wall += (states == np.float32([-1.2, 0])).all(axis=1).sum()
     assert at_wall >= 4
-
-
-def test_ten_thousand_pendulums_of_few_seeds():
-    envs = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2))
-    seeds = np.arange(10_000) % 16
-    states = envs.reset(seeds)
-    np.testing.assert_array_equal(states, states[:16][seeds])
-    alone = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2))
-    alone.reset([3])
-    for _ in range(20):
-        states, expected = envs.reset(None, np.arange(10_000)), alone.reset(None, np.arange(1))
-        np.testing.assert_array_equal(states[3::16], np.repeat(expected, 625, axis=0))
-    assert not envs.step(np.zeros((10_000, 1), np.float32)).truncated.any()
-    assert envs.step(np.zeros((10_000, 1), np.float32)).truncated.all()

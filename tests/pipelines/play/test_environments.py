@@ -3,9 +3,9 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-import yaml
 
 from otr.control.environments import depends_on_past
+from pipelines.cli.runs import run_config
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
@@ -14,15 +14,14 @@ from pipelines.play.episodes import play_seeds
 from pipelines.play.own_environment import own_environment
 from pipelines.play.spaces import state_box, state_limits
 
-FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
 
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_names_fit_the_environment_and_an_episode_depends_on_its_seed_alone(path, tmp_path, monkeypatch, capfd):
+@pytest.mark.parametrize("name", [path.stem for path in (CONF_DIR / "env").glob("*.yaml")])
+def test_names_fit_the_environment_and_an_episode_depends_on_its_seed_alone(name, tmp_path, monkeypatch, capfd):
     """Short episodes with random actions, in one environment after others and in a new one, bit for bit."""
     monkeypatch.chdir(tmp_path)
-    config = EnvConfig(**yaml.safe_load(path.read_text())["env"])
-    assert (config.name, config.task) == (path.stem, path.stem.removesuffix("_v5"))
+    config = run_config([f"env={name}"]).env
+    assert (config.name, config.task) == (name, name.removesuffix("_v5"))
+    assert config.own_names() == {}  # conf's names are in no key
     env = make_env(config)
     n_actions = env.action_space.n if isinstance(env.action_space, gym.spaces.Discrete) else env.action_space.shape[0]
     assert len(set(config.feature_names)) == len(config.feature_names) == env.observation_space.shape[0]

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from otr.control.sac.autoreset import Autoreset, Step
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
-from pipelines.play.vector_envs import Autoreset, Step, make_vector_env
+from pipelines.play.vector_envs import make_vector_env
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"max_episode_steps": 5})

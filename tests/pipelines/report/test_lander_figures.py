@@ -1,6 +1,7 @@
 """Figures 4.6 and 4.7 from runs: which count, what is drawn, what is written."""
 
 import shutil
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import play_seeds
 from pipelines.report.figures import figure_4_6, figure_4_7
-from pipelines.report.figures.figure_4_6 import Planned, budget_of_runs
+from pipelines.report.figures.figure_4_6 import budget_of_runs
 from pipelines.report.figures.style import return_against_depth
 from pipelines.report.frames import load_runs
 from tests.pipelines.conftest import LANDER, PPO, otr_command, otr_succeeds
@@ -23,9 +24,14 @@ AUGTREE = AugTreeConfig("augtree", features="all", max_samples=100)
 QUICK = BudgetConfig("quick", {"lunarlander": 300}, 100, 2, 2, 3, 100)
 
 
-def planned(oracle, method, depth, seed):
+class Run(NamedTuple):
+    oracle: str
+    run: str
+
+
+def run_of(oracle, method, depth, seed):
     name = oracle.strip("[]").replace(",", "-")
-    return Planned(oracle, method, depth, f"lunarlander/{method}/depth-{depth}/quick/seed-{seed}~{name}")
+    return Run(oracle, f"lunarlander/{method}/depth-{depth}/quick/seed-{seed}~{name}")
 
 
 def finish(run, results_dir, return_mean, oracle_mean=250.0, **changes):
@@ -34,8 +40,8 @@ def finish(run, results_dir, return_mean, oracle_mean=250.0, **changes):
     return write_run(results_dir, run.run, return_mean, **({"oracle": oracle, "policies": policies} | changes))
 
 
-def write_figure_4_6(runs, results_dir):
-    return figure_4_6.write_figure_4_6(load_runs(results_dir), runs, "quick", results_dir)
+def write_figure_4_6(results_dir):
+    return figure_4_6.write_figure_4_6(load_runs(results_dir), "quick", results_dir)
 
 
 @pytest.mark.parametrize(
@@ -43,14 +49,13 @@ def write_figure_4_6(runs, results_dir):
     [
         ({"seed": 7}, "describes the run lunarlander/viper/depth-2/quick/seed-7"),
         ({"policies": {}}, "it has no 'policies.oracle'"),
-        ({"oracle": {"hidden_widths": [8]}}, "expected"),
     ],
 )
 def test_a_summary_of_another_run_is_named(tmp_path, changes, message):
-    run = planned("[32]", "viper", 2, 0)
+    run = run_of("[32]", "viper", 2, 0)
     path = finish(run, tmp_path, 1.0, **changes)
     with pytest.raises(PipelineError, match=f"(?s){path.parent.name}.*{message}"):
-        write_figure_4_6([run], tmp_path)
+        write_figure_4_6(tmp_path)
 
 
 def test_curves_bands_and_lines_are_where_the_points_say():
@@ -89,7 +94,7 @@ def depth_two(tiny, tmp_path):
         [1, ~0, ~2], [2, ~1, ~3], P, [0.0, 0.1, 0.1], np.zeros((4, 4, 8)), np.eye(4), labels=[2, 1, 2, 3],
         head=otr.Argmax(),
     )  # fmt: skip
-    runs = [planned(oracle, "augtree", 2, seed) for oracle, seed in (("[256]", 0), ("[256]", 1), ("[32]", 0))]
+    runs = [run_of(oracle, "augtree", 2, seed) for oracle, seed in (("[256]", 0), ("[256]", 1), ("[32]", 0))]
     for run, selection_mean, reported in zip(runs, (10.0, 20.0, 900.0), (500.0, 1.0, 2.0), strict=True):
         folder = finish(run, tmp_path, reported, return_std=0.5, n_episodes=3).parent / "imitate"
         folder.mkdir()
@@ -99,7 +104,7 @@ def depth_two(tiny, tmp_path):
     config = tiny(env=LANDER, algo=PPO, method=AUGTREE, budget=QUICK, depth=2)
 
     def write():
-        return figure_4_7.write_figure_4_7(load_runs(tmp_path), runs, lambda run_dir: config, tmp_path)
+        return figure_4_7.write_figure_4_7(load_runs(tmp_path), "quick", lambda run_dir: config, tmp_path)
 
     return runs, write
 
@@ -135,18 +140,32 @@ def test_figure_4_7_takes_other_oracles_where_it_must(depth_two, tmp_path):
         write()
 
 
-def test_the_command_reads_the_runs_of_the_experiment(tmp_path):
+def test_trees_of_a_budget_and_their_oracles_are_in_the_order_of_the_panels(tmp_path):
+    for oracle, method, depth, seed in (
+        ("[256]", "viper", 2, 0), ("[32]", "viper", 10, 0), ("[32]", "viper", 2, 0), ("[32]", "viper", 2, 1),
+        ("[32]", "augtree", 2, 1), ("[32]", "distilled_otr", 0, 0), ("[32]", "distilled_otr", 2, 0),
+    ):  # fmt: skip
+        finish(run_of(oracle, method, depth, seed), tmp_path, float(depth + seed), oracle_mean=float(seed))
+    finish(run_of("[32]", "ndps", 2, 0), tmp_path, 9.0, changes="method.leaves=constant, oracle=[32]")
+    table, *pictures = write_figure_4_6(tmp_path)
+    rows = [(row["oracle"], row["method"], row["depth"], row["mean"], row["n_runs"]) for row in read_csv(table)]
+    assert rows == [
+        ("[32]", "distilled-otr", "0", "0.0", "1"), ("[32]", "augtree", "2", "3.0", "1"),
+        ("[32]", "viper", "2", "2.5", "2"), ("[32]", "viper", "10", "10.0", "1"), ("[256]", "viper", "2", "2.0", "1"),
+    ]  # fmt: skip
+    assert [float(row["oracle_mean"]) for row in read_csv(table)] == [0.5, 0.5, 0.5, 0.5, 0.0]
+    assert [path.name for path in pictures] == ["figure_4_6.png", "figure_4_6.svg"]
+
+
+def test_the_command_takes_the_first_budget_that_was_run(tmp_path):
     results = tmp_path / "results"
     (results / "runs").mkdir(parents=True)
     otr_succeeds("otr-tabulate", "figure=4.6", "budget=smoke", cwd=tmp_path)
-    rows = read_csv(results / "figures/figure_4_6.csv")
-    assert [tuple(row[key] for key in ("oracle", "method", "depth", "note")) for row in rows] == [
-        ("[32]", method, "2", "not run") for method in ("augtree", "viper", "ndps")
-    ]
+    assert read_csv(results / "figures/figure_4_6.csv") == []
     assert not (results / "tables").exists()
     done = otr_command("otr-tabulate", "figure=4.8", cwd=tmp_path)
     assert done.returncode == 2 and "Known figures: 4.6, 4.7" in done.stderr
     assert budget_of_runs(load_runs(results)) == "quick"  # else the first that was run
-    run = planned("[32]", "viper", 2, 0)
+    run = run_of("[32]", "viper", 2, 0)
     finish(run._replace(run=run.run.replace("quick", "thesis")), results, 1.0)
     assert budget_of_runs(load_runs(results)) == "thesis"

@@ -9,10 +9,8 @@ from matplotlib.colors import to_hex
 
 import otr
 from otr.programs.picture.colours import label_colours, level_colour
-from pipelines.cli.runs import load_config
-from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, MissingInputError
-from pipelines.report.figures.learning_curves import FINISHED, ROWS, STEPS, learning_curves, load_curves
+from pipelines.report.figures.learning_curves import ROWS, STEPS, learning_curves, load_curves
 from pipelines.report.figures.regions import chosen_inputs, draw_regions
 from pipelines.report.figures.run_figures import runs_below
 from pipelines.runs.finished_run import find_run
@@ -23,25 +21,20 @@ HOPPER = "hopper/otr/depth-6/quick/seed-0"
 STATES = np.array([[-1.0, 0.0, 5.0], [1.0, 2.0, 7.0], [0.5, 0.5, 6.0]])
 
 
-def load(run_dir: Path) -> RunConfig:
-    return load_config(run_dir, 1)
-
-
 def curve(run: str, *points: tuple[float, float], **changes: object) -> pd.DataFrame:
-    row = {"panel": "hopper", "label": "otr", "run": run, "unit": STEPS, "std": 1.0, "chosen": False, "final": 5.0,
-           **FINISHED}  # fmt: skip
+    row = {"panel": "hopper", "label": "otr", "run": run, "unit": STEPS, "std": 1.0, "chosen": False, "final": 5.0}
     return pd.DataFrame([{**row, "spent": spent, "mean": mean} | changes for spent, mean in points])
 
 
 def test_curves_of_committed_runs() -> None:
-    trained = load_curves([RESULTS / "runs" / HOPPER], load)
+    trained = load_curves([RESULTS / "runs" / HOPPER])
     assert len(trained) == 20 and set(trained["unit"]) == {STEPS} and set(trained["label"]) == {"otr, depth 6, quick"}
     assert trained["spent"].iloc[[0, -1]].tolist() == [5000, 100_000]
     assert trained["chosen"].sum() == 1 and trained.loc[trained["chosen"], "mean"].item() == trained["mean"].max()
-    imitated = load_curves([RESULTS / "runs/lunarlander/viper/depth-4/quick/seed-2"], load)
+    imitated = load_curves([RESULTS / "runs/lunarlander/viper/depth-4/quick/seed-2"])
     assert set(imitated["unit"]) == {ROWS} and len(imitated) == 51 and imitated["std"].isna().all()
     with pytest.raises(MissingInputError, match="no learning curve is kept there"):
-        load_curves([RESULTS / "runs/mountaincar/program/depth-1/thesis/seed-0~51b7cab2"], load)
+        load_curves([RESULTS / "runs/mountaincar/program/depth-1/thesis/seed-0~51b7cab2"])
 
 
 def test_one_run_has_a_band_and_several_have_a_mean() -> None:
@@ -57,6 +50,15 @@ def test_one_run_has_a_band_and_several_have_a_mean() -> None:
     short, long = curve("a", (1, 1.0), (10, 3.0)), curve("b", (1, 1.0), (1000, 3.0), label="ars")
     scales = [learning_curves(each).axes[0].get_xscale() for each in (short, pd.concat([short, long]))]
     assert scales == ["linear", "log"]  # where one label spent much more
+
+
+def test_each_run_has_a_cross_where_it_ends() -> None:
+    figure = learning_curves(
+        pd.concat([curve("a", (500, 1.0), (1000, 1.0)), curve("b", (500, 1.0), (2000, 1.0), final=9.0)])
+    )
+    assert figure.get_suptitle() == "2 runs; thick: their mean"
+    crosses = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
+    assert [(list(line.get_xdata()), list(line.get_ydata())) for line in crosses] == [([1000], [5.0]), ([2000], [9.0])]
 
 
 def three_inputs(**changes: object) -> otr.ObliqueTree:

@@ -29,15 +29,6 @@ def test_an_interval_of_the_mean_is_students():
     assert np.isnan(resplit_interval(values[:4], 1 / 9)).all()
 
 
-def test_intervals_are_near_scipys_bootstrap_and_cover_the_mean():
-    generator = np.random.default_rng(0)
-    values = generator.normal(10.0, 3.0, 100)
-    other = stats.bootstrap((values,), np.mean, method="BCa", random_state=generator).confidence_interval
-    assert mean_interval(values) == pytest.approx((other.low, other.high), abs=0.1)
-    low, high = np.transpose([mean_interval(generator.normal(size=5)) for _ in range(400)])
-    assert 0.92 < np.mean((low <= 0.0) & (high >= 0.0)) < 0.98  # the percentile bootstrap of five covers some 83 %
-
-
 def test_worked_means_probabilities_and_profiles():
     """The interquartile mean leaves a quarter out at both ends; a profile is the mean over tasks of the share above."""
     assert interquartile_mean([100.0, 1.0, 2.0, 3.0, -100.0]) == 2.0
@@ -101,27 +92,3 @@ def test_rows_of_a_group_are_drawn_together():
     assert len(np.unique(by_group[:, :, 0], axis=0)) > 5
     alone = ResampledAreas(labels, 30, np.arange(60))._weights
     assert (alone == ResampledAreas(labels, 30)._weights).all()
-
-
-def test_the_paired_interval_is_near_scipys():
-    rng = np.random.default_rng(1)
-    labels = rng.integers(0, 2, (150, 1)).astype(float)
-    ours, theirs = (labels + rng.normal(size=(150, 1)) * width for width in (0.8, 1.2))
-
-    def areas_of(scores, rows):
-        is_one = labels[rows, 0] == 1
-        n_ones, n_zeros = is_one.sum(axis=1), (~is_one).sum(axis=1)
-        of_ones = (stats.rankdata(scores[rows, 0], axis=1) * is_one).sum(axis=1)
-        return (of_ones - n_ones * (n_ones + 1) / 2) / (n_ones * n_zeros)
-
-    def difference(rows):
-        rows = np.atleast_2d(rows).astype(int)
-        return areas_of(ours, rows) - areas_of(theirs, rows)
-
-    their_interval = stats.bootstrap(
-        (np.arange(150),), lambda rows, axis=-1: difference(rows), vectorized=True, n_resamples=1000,
-        method="percentile", rng=2,
-    ).confidence_interval  # fmt: skip
-    areas = ResampledAreas(labels)
-    _, interval = ResampledAreas.difference(areas.of(ours[None]), areas.of(theirs[None]))
-    assert interval == pytest.approx((their_interval.low, their_interval.high), abs=0.015)

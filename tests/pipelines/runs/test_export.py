@@ -38,19 +38,6 @@ def test_the_command_from_another_folder(tmp_path):
     assert all(name in help_text for name in FORMATS)
 
 
-@pytest.mark.parametrize("run", [HOPPER, str(RESULTS / "runs" / LANDER)])
-def test_python(run, export):
-    done = export(f"run={run}", "format=python", "name=pilot")
-    assert done.returncode == 0, done.stderr
-    scope = {}
-    exec(done.stdout, scope)
-    tree = committed_tree(run)
-    states = np.random.default_rng(0).normal(size=(200, tree.n_inputs))
-    answers = [scope["pilot"](state) for state in states.tolist()]
-    np.testing.assert_allclose(answers, tree.predict(states), rtol=1e-12, atol=1e-12)
-    assert "# state[0]: z\n" in done.stdout or "return 2  # main_engine\n" in done.stdout
-
-
 def test_files_of_every_format(export, tmp_path):
     for name, kind in FORMATS.items():
         done = export(f"run={HOPPER}", f"format={name}", f"out={tmp_path}")
@@ -63,8 +50,31 @@ def test_files_of_every_format(export, tmp_path):
     states = np.random.default_rng(0).normal(size=(50, 11))
     tree = committed_tree(HOPPER)
     np.testing.assert_allclose(session.run(None, {"x": states})[0], tree.predict(states), atol=1e-12)
-    for suffix in (".c", ".st", ".tex", ".dot"):
+    for suffix in (".ino", ".st", ".tex", ".dot"):
         assert "foot" in (tmp_path / f"policy{suffix}").read_text()
+
+
+def test_fixed_point(export, tmp_path):
+    done = export(f"run={LANDER}", "format=micropython", "bits=12", "name=pilot")
+    assert done.returncode == 0 and done.stderr.startswith("12 bits: the label is the tree's, farther than 0.0")
+    scope, tree = {}, committed_tree(LANDER)
+    exec(done.stdout, scope)
+    assert "angle_rate = 0.0" in done.stdout
+    box = otr.Domain([-2.5, -2.5, -10, -10, -2 * np.pi, -10, 0, 0], [2.5, 2.5, 10, 10, 2 * np.pi, 10, 1, 1])
+    fixed = otr.to_fixed_point(tree, box, 12)
+    Q = fixed.to_integers(np.random.default_rng(0).uniform(box.low, box.high, size=(200, 8)))
+    agree = fixed.predict_integers(Q) == [scope["pilot"](q) for q in Q.tolist()]
+    assert agree.mean() > 0.99  # the box is the environment's in float32
+    narrow = export(f"run={HOPPER}", "format=c_fixed", "box=[z in 0.7..1.5]")
+    assert narrow.returncode == 2 and "has no limits for some states" in narrow.stderr
+    hopper = export(f"run={HOPPER}", "format=c_fixed", f"out={tmp_path}/hopper.c")
+    assert hopper.stderr.startswith("16 bits: no action is off by more than 0.0") and "POLICY_TEST" in (
+        tmp_path / "hopper.c").read_text()  # fmt: skip
+    bounded = export("run=pendulum/otr/depth-6/quick/seed-0", "format=c", "dtype=float")
+    assert "by rounding to float, no action changes by more than" in bounded.stderr
+    assert "For x in [-1, 1], [-1, 1], [-8, 8]: by rounding to float" in bounded.stdout
+    refused = export(f"run={HOPPER}", "format=c", "bits=8")
+    assert refused.returncode == 2 and "format=c has none; these have: c_fixed, arduino" in refused.stderr
 
 
 def test_full_and_compact(export, tmp_path):

@@ -70,15 +70,6 @@ def test_the_unpolished_policy_is_what_is_imitated(config):
         assert (before in told) is kept
 
 
-def test_an_own_settings_file_is_in_the_command(tmp_path, config):
-    (tmp_path / "env").mkdir()
-    (tmp_path / "env/maze.yaml").touch()
-    overrides = [f"hydra.searchpath=['file://{tmp_path}']"]
-    own = dataclasses.replace(config, env=EnvConfig("maze", "discrete", "my_module:Maze-v0", {"size": 5}))
-    assert f"otr-run env=maze --config-dir {tmp_path} ++env.kwargs.size=5 " in imitating_command(own, overrides)
-    assert imitating_command(config, overrides).startswith("otr-run env=CartPole-v1 method=augtree ")
-
-
 def test_names_and_the_folder_of_results_are_in_the_command(config):
     names = ["env.feature_names=[a,b,c,d]", "env.action_names=[e,f]"]
     command = imitating_command(dataclasses.replace(config, results_dir="my results"), [*names, "seed=3"])

@@ -24,7 +24,8 @@ from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor, load_oracle_network
 from pipelines.runs.below_random import warning_below_random
 from pipelines.stages.import_model import read_model
-from tests.pipelines.conftest import PENDULUM, otr_command, otr_succeeds
+from tests.pipelines.conftest import otr_command, otr_succeeds
+from tests.programs.test_c import compiled, runner
 
 CART_POLE = EnvConfig("CartPole-v1", "discrete", "CartPole-v1")
 SMOKE = ("env=CartPole-v1", "budget=smoke", "n_workers=1")
@@ -116,17 +117,6 @@ def test_arrays_alone_do_not_tell_one_saved_policy_from_another(models, tmp_path
     assert keys[0] != keys[1] and keys[0][0] != keys[1][0]
 
 
-def test_statistics_are_folded_in(models):
-    read = read_model(str(models / "pendulum.zip"), str(models / "statistics.pkl"), PENDULUM)
-    raw = read_model(str(models / "pendulum.zip"), None, PENDULUM)
-    assert read.sha256 != raw.sha256
-    envs = VecNormalize.load(str(models / "statistics.pkl"), DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
-    states = np.random.default_rng(0).normal(scale=0.5, size=(100, 3)).astype(np.float32)
-    theirs = PPO.load(models / "pendulum.zip").predict(envs.normalize_obs(states), deterministic=True)[0]
-    np.testing.assert_allclose(read.policy.predict(states), theirs, atol=1e-5)
-    assert np.abs(raw.policy.predict(states) - theirs).max() > 1e-3
-
-
 @pytest.fixture
 def normalised_pendulum(models, tmp_path):
     """A folder with a zip and its statistics, as rl-baselines3-zoo saves them."""
@@ -167,13 +157,6 @@ def test_a_policy_that_is_worse_than_random_actions(normalised_pendulum):
         with_statistics = replace(config, imported=replace(config.imported, is_normalised=True))
         assert warning_below_random(with_statistics, worse).endswith("or with wrappers that this one lacks?")
         assert warning_below_random(replace(config, imported=None), worse) is None
-
-
-def test_saved_networks_and_onnx_files(models):
-    states = np.random.default_rng(1).normal(size=(200, 4))
-    expected = otr.from_sb3(models / "relu.zip").predict(states)
-    for name in ("network.json", "network.npz", "network.onnx"):
-        np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
 
 
 def test_the_output_of_an_onnx_model_with_several(models, tmp_path):
@@ -252,6 +235,18 @@ def test_a_tanh_policy_is_an_oracle(models):
     assert summary["oracle"]["hidden_widths"] == [5, 5] and "oracle" in summary["policies"]
     plan = otr_command("otr-plan", "-m", *SMOKE, "method=viper,ndps", *words[1:], cwd=models, COLUMNS="200")
     assert plan.stdout.count("is there") == 2, plan.stderr
+
+
+def test_a_tanh_policy_is_exported_as_c(models, tmp_path):
+    done = otr_command("otr-export", "env=CartPole-v1", "model=tanh.zip", "format=c", f"out={tmp_path}", cwd=models)
+    assert done.returncode == 0, done.stderr
+    source = (tmp_path / "policy.c").read_text()
+    states = np.random.default_rng(0).normal(size=(10_000, 4))
+    theirs = PPO.load(models / "tanh.zip").predict(states, deterministic=True)[0]
+    answers = runner(compiled({"policy": source}, tmp_path), "policy", source)(states)
+    assert (answers != theirs).sum() <= 2  # ties within the rounding of torch's single precision
+    refused = otr_command("otr-export", "env=CartPole-v1", "model=tanh.zip", "format=text", cwd=models)
+    assert refused.returncode == 2 and "is written as the network that it is, by format=c" in refused.stderr
 
 
 def test_a_model_with_any_units_and_statistics_is_an_oracle(models):

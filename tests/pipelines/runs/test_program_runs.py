@@ -139,12 +139,6 @@ def test_figure_4_2_is_an_experiment():
     assert {job.config.env.name for job in ours} == {"mountaincar"}
 
 
-def test_a_sweep_over_programs_and_seeds():
-    swept = jobs("-m", "env=mountaincar", "program=mountaincar,mountaincar_simplified", "seed=0,1")
-    assert [job.config.method.program for job in swept] == ["mountaincar"] * 2 + ["mountaincar_simplified"] * 2
-    assert len({job.folder for job in swept}) == 4
-
-
 @pytest.mark.parametrize(
     "word", ["trainer=fleet", "algo=sac", "algo.gamma=0.9", "train.steps=100", "actor.dense=input"]
 )

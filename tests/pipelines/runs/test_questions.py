@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import otr
+from pipelines.play.actor_files import load_actor
 from pipelines.runs.questions import always, bound_text, labels_but
-from tests.committed import RESULTS
+from tests.committed import RESULTS, committed_tree
 from tests.pipelines.conftest import PENDULUM
 
 PENDULUM_RUN, CAR = "run=pendulum/otr/depth-6/quick/seed-0", "env=mountaincar"
@@ -104,6 +105,20 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
     done = verify(PENDULUM_RUN, f"program={own}")
     assert done.returncode == 2 and "cannot be compared: the tree has (inputs, outputs, head)" in done.stderr
     assert "The answers of the network are a tanh: write those of the program as return 2 tanh(...)" in done.stderr
+
+
+def test_a_certificate_of_integers_is_checked(verify, tmp_path):
+    net = load_actor(RESULTS / "runs" / PENDULUM_RUN.removeprefix("run=") / "train")
+    for name, policy in (("network", net), ("tree", committed_tree(PENDULUM_RUN.removeprefix("run=")))):
+        tree = otr.minimal_tree(net, BOX) if policy is net else policy
+        fixed = otr.to_fixed_point(tree, BOX, bits=12)
+        saved, proof = otr.save(fixed, tmp_path / name), otr.certify_fixed_point(fixed, policy, BOX)
+        done = verify(PENDULUM_RUN, f"certificate={proof.save(tmp_path / 'proof.json')}", f"tree={saved}")
+        assert done.stdout.startswith("verified: on the box cos_angle"), done.stdout + done.stderr
+        assert f"the {'network' if policy is net else 'pruned tree'}" in done.stdout
+    otr.save(fixed.replace(shifts=fixed.shifts + 2), tmp_path / "tree")
+    done = verify(PENDULUM_RUN, f"certificate={tmp_path / 'proof.json'}", f"tree={saved}")
+    assert done.returncode != 0 and "its claim fails at the state" in done.stderr
 
 
 def test_after_a_polish_the_polished_network_is_the_runs(verify, command, tmp_path):

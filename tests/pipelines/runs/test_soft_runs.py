@@ -7,12 +7,9 @@ import pytest
 
 import otr
 from pipelines.cli.runs import RUN, run_config
-from pipelines.config.hardened_methods import SdtConfig
 from pipelines.errors import ConfigError
 from pipelines.training.settings import train_keys
-from tests.pipelines.conftest import PPO, otr_command, otr_succeeds
-
-SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
+from tests.pipelines.conftest import otr_command, otr_succeeds
 
 
 @pytest.mark.parametrize(
@@ -20,7 +17,7 @@ SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
     [
         (("env=lunarlander", "method=sdt", "depth=2"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
-        (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=pi_prl", "depth=2"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=sac"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=experts", "depth=3"), ["tree", "pruned_tree"]),
         (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
@@ -40,37 +37,11 @@ def test_every_form_is_played(tmp_path, words, forms):
     assert replayed.stdout.count("as recorded") == len(forms), replayed.stdout + replayed.stderr
 
 
-def test_other_settings_of_a_method_are_another_training(tiny):
-    from pipelines.training.settings import train_keys
-
-    one, other = (
-        tiny(method=method, depth=2, algo=PPO) for method in (SDT, SdtConfig("sdt", 1.0, 50.0, 0.8, 0.05, "linear"))
-    )
-    assert train_keys(one) != train_keys(other)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
-    ],
-)
-def test_what_is_refused(tiny, changes, words):
-    with pytest.raises(ConfigError, match=words):
-        tiny(**{"method": SDT, "depth": 2, **changes})
-
-
-def test_cascading_trees_have_two_depths(tmp_path):
-    done = otr_command("otr-run", "env=pendulum", "method=cdt", "depth=3", "budget=smoke", cwd=tmp_path)
-    assert done.returncode == 2 and "give both depths, as depth=[3,3]" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "algo", "gamma", "steps", "interval"),
     [
         (("env=lunarlander", "method=sdt", "depth=5"), "ppo", 0.999, 1_000_000, 25_000),
         (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
-        (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
         (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
         (("env=pendulum", "method=sdt", "depth=3", "algo=sac", "trainer=fleet"), "sac", 0.99, 30_000, 5_000),
         (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
@@ -81,12 +52,6 @@ def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, i
     assert (config.algo.name, config.algo.gamma) == (algo, gamma)
     assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
     assert config.trainer_name == ("fleet" if "trainer=fleet" in words else "sb3")
-
-
-def test_algorithms_that_train_no_soft_trees_are_refused():
-    words = "method=sdt is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not td3"
-    with pytest.raises(ConfigError, match=words):
-        run_config(["env=pendulum", "method=sdt", "depth=2", "algo=td3"])
 
 
 def test_an_algorithm_may_be_one_methods_and_one_environments():
@@ -105,12 +70,12 @@ def test_random_search_lies_beside_the_gradient(tiny):
         run_config(["env=pendulum", "depth=[64]", "algo=ars", "budget=quick"])
 
 
-@pytest.mark.parametrize("budget", ["standard", "thesis", "quick"])
-def test_experts_bring_soft_actor_critic_and_the_fleet(budget):
+@pytest.mark.parametrize(("budget", "steps"), [("standard", 1_000_000), ("thesis", 3_000_000), ("quick", 300_000)])
+def test_experts_bring_soft_actor_critic_and_the_fleet(budget, steps):
     (job,) = RUN.jobs([["env=bipedalwalker", "method=experts", "depth=8", f"budget={budget}"]])
     config = job.config
     assert (config.algo.name, config.trainer_name, config.method.balance) == ("sac", "fleet", 0.01)
-    assert config.train.steps == config.budget.steps["bipedalwalker"]
+    assert config.train.steps == steps
     assert job.folder == f"runs/bipedalwalker/experts/depth-8/{budget}-fleet/seed-0"
     assert train_keys(config)["method"] == {"name": "experts", "balance": 0.01}
     (spelt_out,) = RUN.jobs([[*job.overrides, "algo=sac", "trainer=fleet"]])
@@ -120,16 +85,19 @@ def test_experts_bring_soft_actor_critic_and_the_fleet(budget):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("depth=1",), "depth=1: of method=experts it is the number of experts; give 2 to 16"),
-        (("depth=17",), "depth=17: of method=experts"),
-        (("depth=[3,3]",), "depth=.3, 3.: of method=experts"),
-        (("algo=td3",), "method=experts is trained by algo=sac, not td3"),
-        (("trainer=sb3",), "method=experts is trained by trainer=fleet, not trainer=sb3"),
+        (("method=sdt", "depth=0"), "depth=0: method=sdt grows a tree"),
+        (("method=sdt", "depth=2", "algo=td3"), "is trained by algo=ppo_tree or algo=sac, not td3"),
+        (("method=cdt", "depth=3"), r"give both depths, as depth=\[3,3\]"),
+        (("method=experts", "depth=1"), "depth=1: of method=experts it is the number of experts; give 2 to 16"),
+        (("method=experts", "depth=17"), "depth=17: of method=experts"),
+        (("method=experts", "depth=[3,3]"), "depth=.3, 3.: of method=experts"),
+        (("method=experts", "algo=td3"), "method=experts is trained by algo=sac, not td3"),
+        (("method=experts", "trainer=sb3"), "method=experts is trained by trainer=fleet, not trainer=sb3"),
     ],
 )
-def test_what_experts_are_refused_for(words, message):
+def test_what_soft_trees_and_experts_are_refused_for(words, message):
     with pytest.raises(ConfigError, match=message):
-        run_config(["env=pendulum", "method=experts", "budget=quick", *words])
+        run_config(["env=pendulum", "budget=quick", *words])
 
 
 @pytest.mark.parametrize("by", ["critic", "search"])

@@ -62,14 +62,6 @@ def test_runs_leave_every_artefact_and_no_working_files(finished):
     assert "the tree chooses as the oracle does in" in printed
 
 
-def test_second_time_nothing_is_done(finished):
-    folder, _ = finished
-    done = otr_command("otr-run", *SWEEP, cwd=folder)
-    assert done.stdout.count("done before") == 2, done.stdout
-    planned = otr_command("otr-plan", *SWEEP, cwd=folder)
-    assert "2 jobs: 2 to skip, 0 left" in planned.stdout
-
-
 def test_recorded_episodes_come_back(finished):
     folder, _ = finished
     done = otr_succeeds("otr-tabulate", "table=4.1", "evaluate=true", cwd=folder)

@@ -11,6 +11,7 @@ from stable_baselines3 import PPO, SAC, TD3
 
 import otr
 from benchmarks import shrink
+from otr.control.settings import CriticPolishSettings
 from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import RUN, load_config
 from pipelines.config.stages import PolishingConfig
@@ -22,7 +23,7 @@ from pipelines.report.figures.learning_curves import STEPS, load_curves
 from pipelines.runs.below_random import random_returns
 from pipelines.runs.replay import replay
 from pipelines.runs.stage_table import stages_of
-from pipelines.stages.polish import POLISH, estimated_seconds, polish_keys, polishes_by
+from pipelines.stages.polish import POLISH, estimated_seconds, improve_by_critic, polish_keys, polishes_by
 from pipelines.training.critics import CRITICS
 from tests.committed import copy_run
 from tests.pipelines.conftest import otr_command, otr_succeeds
@@ -77,7 +78,7 @@ def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its
     folder, *_ = shrunk
     (made,) = folder.glob("results/runs/pendulum/distilled_otr/depth-4/smoke-fleet/seed-0~*")
     summary = read_json(made / "summary.json")
-    curves = load_curves([made], lambda path: load_config(path, 1))
+    curves = load_curves([made])
     imitated = 300 + summary["imitate"]["n_steps"]
     assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
     assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]
@@ -128,12 +129,6 @@ def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(s
     assert "imitate" not in done.stdout  # before anything runs
 
 
-def test_a_search_is_asked_for_by_name(shrunk):
-    folder, words, _ = shrunk
-    printed = run(folder, *words, "polishing.by=search", "polishing.n_directions=2", "polishing.n_top=2")
-    assert "24 numbers of the network searched in 1 iteration" in printed
-
-
 def test_an_actor_is_polished_by_its_own_critics_and_a_tree_by_its_oracle_s(shrunk):
     folder, *_ = shrunk
     assert "numbers of the network learnt by critics" in run(folder, *FLEET, "depth=3", "polishing.by=critic")
@@ -143,6 +138,10 @@ def test_an_actor_is_polished_by_its_own_critics_and_a_tree_by_its_oracle_s(shru
     (made,) = folder.glob("results/runs/pendulum/ndps/depth-2/smoke-fleet/seed-0~*")
     before, after = (otr.load(made / stage / "tree") for stage in ("prune", "polish"))
     np.testing.assert_array_equal(before.children_left, after.children_left)
+    (oracle,) = folder.glob("results/runs/pendulum/otr/depth-16/smoke-fleet/seed-0~*")
+    config = dataclasses.replace(load_config(made, 1), results_dir="/", folder=str(oracle)[1:])
+    with pytest.raises(ConfigError, match=r"leads into their box, not Identity; use polishing\.by=search"):
+        improve_by_critic(before.replace(head=otr.Identity()), config)
     soft = run(folder, "method=sdt", *FLEET, "algo=sac", "depth=2", "polishing.by=critic")
     assert "numbers of the tree learnt by critics" in soft
 
@@ -192,7 +191,9 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     by_critic = dataclasses.replace(config, polishing=PolishingConfig(by="critic"))
     assert stage_status(POLISH, made / "polish", by_critic) == "other settings"
     searched = dataclasses.replace(by_critic, polishing=PolishingConfig(by="critic", n_directions=20, steps=3))
-    assert polish_keys(searched) == polish_keys(by_critic)
+    assert polish_keys(searched) == polish_keys(by_critic) and "actor_value" not in polish_keys(by_critic)["polishing"]
+    mean = CriticPolishSettings(actor_value="mean")
+    assert PolishingConfig(critic=mean).settings_by_critic()["actor_value"] == "mean"
     assert stages_of("ndps")["polish"].inputs == ("prune",)
     assert 240 < estimated_seconds(by_critic) < 600
 

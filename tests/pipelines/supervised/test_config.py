@@ -93,7 +93,7 @@ def test_what_a_setting_may_be_the_estimator_takes(learner):
 def test_settings_that_are_as_before_are_not_keyed(fit_of):
     assert "leaf_values" not in fit_settings(fit_of("tao"))["method"]
     assert fit_settings(fit_of("tao", leaf_values="labels"))["method"]["leaf_values"] == "labels"
-    for learner in set(LEARNERS) - {"model_tree"}:
+    for learner in LEARNERS:
         assert "class_weight" not in fit_settings(fit_of(learner))["method"]
         assert fit_settings(fit_of(learner, class_weight="balanced"))["method"]["class_weight"] == "balanced"
     with pytest.raises(ConfigError, match=r"method\.class_weight=even: use one of balanced"):

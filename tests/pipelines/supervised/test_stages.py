@@ -3,8 +3,10 @@
 import dataclasses
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.metrics import roc_auc_score
 from sklearn.preprocessing import StandardScaler
@@ -12,10 +14,12 @@ from sklearn.preprocessing import StandardScaler
 import otr
 from otr.learners import CARTClassifier, LinearTreeClassifier, OTRClassifier, TAOClassifier
 from otr.learners.distillation import Teacher, distillation_set, fit_teacher
+from pipelines.cli.pack import pack_results
 from pipelines.datasets.load import load_dataset
 from pipelines.engine.job import is_done
-from pipelines.engine.store import read_csv, read_json
+from pipelines.engine.store import ARCHIVE, read_csv, read_json
 from pipelines.errors import ConfigError
+from pipelines.report import load_fits
 from pipelines.supervised.fit import fit
 from pipelines.supervised.fit_job import FitJob, fit_job, fit_jobs
 from pipelines.supervised.learners import check_learner, fit_trees
@@ -73,6 +77,17 @@ def test_what_is_tuned_is_the_best_on_the_validation_part(fit_of):
     tree = otr.load(job.run_dir / "fit" / "label-00")
     assert tree.depth == chosen["settings"]["max_depth"]
     assert read_json(job.run_dir / "summary.json")["valid"] == pytest.approx(float(best["valid"]), abs=0.05)
+
+
+def test_a_packed_fit_is_one_file_of_which_tables_read_the_summary(fit_of, tmp_path):
+    config = fit_of("cart", grid=GRID)
+    job = FitJob(config, config.folder, "results_dir: elsewhere\n")
+    summary = fit_job(job)
+    before = load_fits(config.results_dir)
+    pack_results(Path(config.results_dir))
+    assert [path.name for path in job.run_dir.iterdir() if path.is_file() and path.suffix != ".lock"] == [ARCHIVE]
+    pd.testing.assert_frame_equal(load_fits(config.results_dir), before)
+    assert fit_job(job) == summary
 
 
 def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
@@ -255,24 +270,19 @@ def test_class_weights_reach_the_learner(fit_of):
         fit_job(job_of(fit_of("cart", data="diabetes", class_weight="balanced")))
 
 
-@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "model_tree", "lcn", "otr"])
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "lcn", "otr"])
 def test_every_learner_does_a_regression(fit_of, learner):
     settings = {"epochs": 4} if learner in ("lcn", "otr") else {}
-    settings |= {"max_depth": 3} if learner in ("cart", "hhcart", "augtree", "model_tree") else {}
+    settings |= {"max_depth": 3} if learner in ("linear", "cart", "hhcart", "augtree") else {}
     summary = fit_job(job_of(fit_of(learner, data="diabetes", **settings)))
     assert summary["metric"] == "rmse" and 40 < summary["test"] < 75  # the targets' deviation is about 77
 
 
-@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "model_tree", "otr"])
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "otr"])
 def test_every_classifier_does_many_classes(fit_of, learner):
     settings = {"epochs": 4} if learner == "otr" else {}
-    settings |= (
-        {"max_depth": 4}
-        if learner in ("cart", "hhcart", "tao", "augtree")
-        else {"max_depth": 1}
-        if learner == "model_tree"
-        else {}
-    )
+    settings |= {"max_depth": 4} if learner in ("cart", "hhcart", "tao", "augtree") else {}
+    settings |= {"max_depth": 1} if learner == "linear" else {}
     summary = fit_job(job_of(fit_of(learner, data="digits", **settings)))
     assert summary["metric"] == "accuracy" and summary["test"] > 0.4
 

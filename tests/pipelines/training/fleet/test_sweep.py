@@ -1,4 +1,4 @@
-"""Sweeps of fleets: grouped by themselves, under launchers, killed, diverging, and written down as commands."""
+"""Sweeps of fleets: grouped by themselves, under launchers, killed, and diverging."""
 
 import dataclasses
 import json
@@ -71,11 +71,3 @@ def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
     assert json.loads((jobs[1].run_dir / "train" / "manifest.json").read_text())["settings"]["seed"] == 1
     assert not (jobs[2].run_dir / "train").exists()
     assert not list(Path(configs[0].results_dir).glob("runs/**/.train.tmp"))
-
-
-def test_a_fleet_is_one_command_in_a_file_of_jobs(tmp_path):
-    otr_succeeds("otr-plan", *WORDS[:3], "seed=range(0,7)", *WORDS[4:], "--jobs", "jobs.txt", cwd=tmp_path)
-    lines = (tmp_path / "jobs.txt").read_text().splitlines()
-    assert [re.findall(r"depth=\S+ seed=\S+", line)[0] for line in lines] == [
-        "depth=2 seed=0,1,2", "depth=2 seed=3,4,5,6", "depth=3 seed=0,1,2", "depth=3 seed=3,4,5,6"]  # fmt: skip
-    assert all(line.startswith("otr-run -m ") for line in lines)

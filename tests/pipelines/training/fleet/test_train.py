@@ -12,6 +12,8 @@ import pytest
 import torch
 
 import otr
+from otr.control.sac.autoreset import Autoreset
+from otr.control.sac.random_streams import Streams
 from pipelines.config.algo import SacConfig
 from pipelines.config.hardened_methods import ExpertsConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
@@ -20,7 +22,6 @@ from pipelines.engine.seeding import stream_seeds
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.play.vector_envs import Autoreset
 from pipelines.runs.fleets import fleets, group_key
 from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.train import checkpoint_folder, trained_steps
@@ -29,7 +30,6 @@ from pipelines.training.critics import CRITICS, load_critics
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.random_streams import Streams
 from pipelines.training.fleet.train_fleet import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task
 from pipelines.training.settings import train_keys

@@ -1,0 +1,203 @@
+"""Trees in fixed point proved: the search for a certificate, and its check without a search."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from otr.clock import time_limit
+from otr.core.arrays import IntArray
+from otr.core.domain import Box, Domain, as_domain
+from otr.core.fixed_point.tree import FixedPointTree
+from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
+from otr.core.tree import ObliqueTree
+from otr.errors import CertificateError
+from otr.fixed_point.certificate import PARTS, FixedPointCertificate, digest_of
+from otr.fixed_point.parts import (
+    answer_ranges,
+    head_slopes,
+    input_roundings,
+    leaf_differences,
+    output_roundings,
+    table_errors,
+    test_margins,
+    wider_box,
+)
+from otr.fixed_point.pieces import bound_of, certificate_by_pieces
+from otr.fixed_point.slopes import largest_changes
+from otr.proof.certificate import Certificate
+from otr.proof.certify import certify
+from otr.proof.exact_rows import rounded_up
+from otr.proof.verify import verify
+
+Policy = ReluNetwork | PatternTree | ObliqueTree
+
+_N_STATES = 2**14  # at which a refusal looks for a claim that fails, and corners of the box
+
+
+def certify_fixed_point(
+    fixed: FixedPointTree,
+    network: Policy,
+    box: Domain | Box,
+    *,
+    max_error: float | None = None,
+    max_regions: int = 2**16,
+    max_seconds: float | None = None,
+) -> FixedPointCertificate:
+    """Return a proof of how far the answers of a tree in fixed point are from a policy's, at every state of a box.
+
+    Args:
+        fixed: the tree.
+        network: the policy; a tree must be the one that was rounded, and is compared except near its tests.
+        box: bounded.
+        max_error: refuse a larger error of the coefficients, in outputs before the head; where a bound leaf by leaf is
+            larger, `otr.certify` searches the network's regions, which takes long. None keeps that bound.
+        max_regions, max_seconds: as for `otr.certify`.
+
+    Raises:
+        CertificateError: tree and network differ by more; the message names a leaf and a state.
+        TreeTooLargeError: a limit was met, of time a TimeLimitError.
+        ValueError: the box is open, or the two do not fit each other.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]], head=otr.ClipBox(0, 1))
+        >>> tree = otr.minimal_tree(net, ([-2], [2]))
+        >>> fixed = otr.to_fixed_point(tree, ([-2], [2]), bits=8)
+        >>> otr.certify_fixed_point(fixed, net, ([-2], [2])).max_error < 0.04
+        True
+    """
+    policy = checked_policy(fixed, network)
+    domain = as_domain(box, fixed.n_inputs)
+    domain.require_bounded()
+    if isinstance(policy, ObliqueTree):
+        return _completed(fixed, policy, domain, None)
+    wider = wider_box(domain, input_roundings(fixed, domain))
+    with time_limit(max_seconds, lambda: "no certificate of the rounded tree was found"):
+        inner = _certificate(fixed.to_tree(), policy, wider, max_error, max_regions)
+    return _completed(fixed, policy, domain, inner)
+
+
+def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | ObliqueTree:
+    if isinstance(network, PatternTree):
+        if network.is_restricted:
+            raise ValueError(
+                "the PatternTree has some of its network's paths alone; give the network, or its to_tree()"
+            )
+        network = network.network
+    if not isinstance(fixed, FixedPointTree) or not isinstance(network, ReluNetwork | ObliqueTree):
+        raise TypeError(
+            "certify_fixed_point takes a FixedPointTree and a ReluNetwork, a PatternTree or an ObliqueTree, got "
+            f"{type(fixed).__name__} and {type(network).__name__}"
+        )
+    ours, theirs = ((each.n_inputs, each.n_outputs, each.head) for each in (fixed, network))
+    if ours != theirs:
+        raise ValueError(f"the tree has (inputs, outputs, head) {ours}, the policy {theirs}; they must be the same")
+    return network
+
+
+def _certificate(
+    tree: ObliqueTree, network: ReluNetwork, box: Domain, max_error: float | None, max_regions: int
+) -> Certificate:
+    """Return the certificate of the rounded coefficients, by pieces or, if that does not do, by a search."""
+    found = certificate_by_pieces(tree, network, box)
+    if max_error is None or found.max_error <= max_error:
+        return found
+    if tree.labels is not None:
+        raise CertificateError(
+            f"the tree's label is proved where the network's lead is above {found.max_error:.6g}, and max_error is "
+            f"{max_error:.6g}: give more bits"
+        )
+    return certify(tree, network, box, max_error=max_error, max_regions=max_regions)
+
+
+def _completed(
+    fixed: FixedPointTree, policy: ReluNetwork | ObliqueTree, box: Domain, inner: Certificate | None
+) -> FixedPointCertificate:
+    """Return the certificate with all parts computed, given that of the coefficients."""
+    o, gives_labels, margins = fixed.n_outputs, fixed.head.gives_labels, None
+    n_compared = 0 if fixed.labels is not None else min(o, 2)  # outputs that a label compares, where tests do not
+    if isinstance(policy, ObliqueTree):
+        margins = tuple(map(rounded_up, test_margins(fixed, policy, box)))
+        coefficients, inputs = leaf_differences(fixed, policy, box)
+        if gives_labels:
+            coefficients, inputs = ([n_compared * error for error in errors] for errors in (coefficients, inputs))
+    else:
+        assert inner is not None
+        # Of labels that tests decide the certificate's error is a lead.
+        coefficients = [Fraction(inner.max_error) * (max(n_compared, 1) if gives_labels else 1)] * o
+        inputs = largest_changes(policy, inner.domain, input_roundings(fixed, box), _differences(o, gives_labels))
+    outputs, table, slopes = output_roundings(fixed), table_errors(fixed), head_slopes(fixed)
+    if gives_labels:
+        parts = [[max(coefficients)], [max(inputs)], [n_compared * max(outputs)], [Fraction(0)]]
+    else:
+        scaled = ([s * error for s, error in zip(slopes, errors, strict=True)] for errors in (coefficients, inputs))
+        parts = [*scaled, outputs, table]
+    totals = [sum(values, Fraction(0)) for values in zip(*parts, strict=True)]
+    ranges = answer_ranges(fixed.head, o)
+    shares = [total / width for total, width in zip(totals, ranges or (), strict=False)]
+    return FixedPointCertificate(
+        box,
+        tuple(map(rounded_up, totals)),
+        {name: tuple(map(rounded_up, values)) for name, values in zip(PARTS, parts, strict=True)},
+        rounded_up(max(shares)) if shares else None,
+        digest_of(fixed),
+        inner,
+        margins,
+    )
+
+
+def _differences(n_outputs: int, gives_labels: bool) -> IntArray:
+    """Return the differences of outputs (m, o) that are bounded: each output or, for labels, one less another."""
+    eye = np.eye(n_outputs, dtype=np.int64)
+    if not gives_labels or n_outputs == 1:
+        return eye
+    first, second = np.triu_indices(n_outputs, 1)
+    return np.asarray(eye[first] - eye[second])
+
+
+@verify.register
+def verify_fixed_point(
+    certificate: FixedPointCertificate, tree: FixedPointTree, network: Policy, *, max_seconds: float | None = None
+) -> float:
+    """Check a certificate of a tree in fixed point, without a solver, and return the bound, `max_error`."""
+    policy, box, inner = checked_policy(tree, network), certificate.box, certificate.certificate
+    if digest_of(tree) != certificate.digest:
+        raise _refused(certificate, tree, policy)
+    if isinstance(policy, ReluNetwork):
+        wider = wider_box(box, input_roundings(tree, box))
+        if inner is None or (inner.domain.low > wider.low).any() or (inner.domain.high < wider.high).any():
+            raise CertificateError("the certificate of the coefficients is missing, or of a smaller box")
+        bound_of(inner, tree.to_tree(), policy, max_seconds=max_seconds)
+    proved = _completed(tree, policy, box, inner)
+    if proved != certificate:
+        raise CertificateError(f"the certificate claims {certificate}, and what is proved is {proved}")
+    return certificate.max_error
+
+
+def _refused(
+    certificate: FixedPointCertificate, tree: FixedPointTree, policy: ReluNetwork | ObliqueTree
+) -> CertificateError:
+    """Return the refusal of a changed tree, with the state that contradicts the claim most, if one is found."""
+    box, rng = certificate.box, np.random.default_rng(0)
+    shares = rng.random((_N_STATES, tree.n_inputs))
+    states = box.low + np.concatenate((shares, np.rint(shares))) * (box.high - box.low)
+    ours, theirs = tree.predict(states), policy.predict(states)
+    if tree.head.gives_labels:
+        outputs = np.sort(np.column_stack((0 * states[:, : tree.n_outputs == 1], policy.forward(states))), axis=1)
+        excess = np.where(ours != theirs, outputs[:, -1] - outputs[:, -2:][:, 0] - certificate.max_error, -1.0)
+    else:
+        excess = (np.abs(ours - theirs) - certificate.max_errors).max(axis=1)
+    if certificate.margins is not None and isinstance(policy, ObliqueTree):
+        excess[(np.abs(states @ policy.P.T + policy.v) <= certificate.margins).any(axis=1)] = -1.0
+    worst = int(excess.argmax())
+    reason, state = "the certificate is of another FixedPointTree", states[worst]
+    if excess[worst] <= 0:
+        return CertificateError(f"{reason}; no state was found that contradicts its claim: certify the tree again")
+    return CertificateError(
+        f"{reason}, and its claim fails at the state {state.tolist()}: the integers answer "
+        f"{np.asarray(ours[worst]).tolist()}, the policy {np.asarray(theirs[worst]).tolist()}, and "
+        f"{certificate.max_error:.6g} is claimed",
+        state=tuple(map(Fraction, state.tolist())),
+    )

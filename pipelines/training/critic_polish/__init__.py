@@ -1,1 +1,0 @@
-"""Polishing by critics: the soft actor-critic goes on with a finished policy in the place of the actor."""

@@ -37,12 +37,9 @@ def mark_of(cell: Any) -> str:
 
 def verdict_counts(cells: pd.DataFrame) -> str:
     """Return how many of the tested cells are higher, lower and open."""
-    counts = cells["against_thesis"].value_counts()
-    tested = sum(int(n) for verdict, n in counts.items() if verdict)
-    return f"of {tested} cells " + ", ".join(
-        f"{counts.get(name, 0)} are {text}"
-        for name, text in (("higher", "higher"), ("lower", "lower"), ("open", "open"))
-    )
+    counts = cells.loc[cells["against_thesis"] != "", "against_thesis"].value_counts()
+    named = ", ".join(f"{counts.get(name, 0)} are {name}" for name in ("higher", "lower", "open"))
+    return f"of {counts.sum()} cells {named}"
 
 
 def order_of_methods(cells: pd.DataFrame) -> tuple[str, str]:

@@ -52,7 +52,7 @@ TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander"
         ("pendulum", "pid", "1")]  # fmt: skip # what chapter 4 reports outside its tables
 # Of each task, below the table: the lines, and the columns of cells that they show.
 DETAILS = {
-    "runs": "n_and_budget", "steps": "total_steps_text", "steps, thesis": "published_steps_text",
+    "runs": "runs", "steps": "total_steps_text", "steps, thesis": "published_steps_text",
     "leaves": "leaves_text", "numbers, free": "free_numbers_text", "numbers, written": "written_numbers_text",
 }  # fmt: skip
 FURTHER_COLUMNS = [*SIZES, "published_steps", "p_value", "p_holm", "against_thesis", "imitates"]
@@ -116,15 +116,11 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     for cell in found[rest].itertuples():
         also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
-    columns = {"ours": _ours, "runs": runs_text, "imitates": _imitates}
+    columns = {"ours": _ours, "runs": _runs, "imitates": _imitates}
     cells = with_marks(cells.assign(**{name: list(map(text, cells.itertuples())) for name, text in columns.items()}))
     cells["shown"] = [f"{cell.ours} {mark_of(cell)}".rstrip() for cell in cells.itertuples()]
     cells["published_steps"] = list(map(published_steps, cells["task"], cells["method"]))
-    return cells.assign(
-        n_and_budget=cells["runs"].str.replace(", ", "; ")
-        + cells["oracle"].map(_layers).where(cells["runs"] != "", ""),
-        **{f"{name}_text": cells[name].map(_short) for name in ("published_steps", *sizes)},
-    )
+    return cells.assign(**{f"{name}_text": cells[name].map(_short) for name in ("published_steps", *sizes)})
 
 
 def _notes(cell: Any, also: list[str]) -> Iterable[str]:
@@ -182,8 +178,9 @@ def _imitates(cell: Any) -> str:
     return f"{METHOD_NAMES['otr']} ({depth})" if is_imitator else ""
 
 
-def _layers(oracle: Any) -> str:
-    return "" if pd.isna(oracle) else f"; of {oracle.replace(',', ', ')}"
+def _runs(cell: Any) -> str:
+    """Return the runs of a cell, and the layers of its oracle, or of the oracle that it is."""
+    return runs_text(cell) + (f", of {cell.oracle.replace(',', ', ')}" if cell.n_runs and pd.notna(cell.oracle) else "")
 
 
 def _short(number: float) -> str:

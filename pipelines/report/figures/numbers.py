@@ -16,7 +16,7 @@ import pandas as pd
 import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
-from pipelines.report.cells import DECIMALS, KEY, TASK_NAMES, normalised, table_runs
+from pipelines.report.cells import DECIMALS, KEY, TASK_NAMES, in_order, normalised, table_runs
 from pipelines.report.figures.style import (
     COLOURS,
     DOTS,
@@ -72,9 +72,7 @@ def points_of(runs: pd.DataFrame) -> pd.DataFrame:
     own = cells[cells["task"].isin(TASKS) & (cells["table"] != "other") & (cells["written_numbers"] > 0)]
     own = own.assign(series=own["method"].map(_series))
     own = own[own["series"].isin(SERIES)]
-    own = own.assign(score=normalised(own["task"], own["mean"]))
-    order = {task: i for i, task in enumerate(TASKS)}
-    own = own.sort_values("task", key=lambda tasks: tasks.map(order), kind="stable")
+    own = in_order(own.assign(score=normalised(own["task"], own["mean"])), ["task"])
     of_policy = own.groupby(KEY[1:], sort=False)
     sizes = ["leaves", "free_numbers", "written_numbers"]
     means = of_policy.agg(
@@ -89,16 +87,15 @@ def points_of(runs: pd.DataFrame) -> pd.DataFrame:
 def draw_numbers(points: pd.DataFrame) -> Figure:
     """Return a figure of the points, as `points_of` returns them."""
     axes = ("numbers in the written tree (log scale)", "return, 0 random, 1 thesis's best")
-    names = {task: TASK_NAMES.get(task, task) for task in dict.fromkeys(points["task"])}
-    figure, panels = figure_of_panels(pd.DataFrame({"panel": [*names.values()]}), 3, 3, axes, 2, (True, True))
+    names = points.assign(panel=points["task"].replace(TASK_NAMES))
+    figure, panels = figure_of_panels(names, 3, 3, axes, 2, (True, True))
     styles = {
         name: {"color": colour, "marker": marker, "markersize": size}
         for name, colour, (marker, size) in zip(SERIES, (INK, *reversed(COLOURS)), reversed(MARKERS), strict=True)
     }
     most = float(points["written_numbers"].max())
-    for panel, (task, own) in zip(panels, points.groupby("task", sort=False), strict=True):
+    for panel, (_, own) in zip(panels, points.groupby("task", sort=False), strict=True):
         _draw_panel(panel, own, styles, most)
-        panel.set_title(names[str(task)], fontsize=SMALL + 1, fontweight="bold", loc="left")
     panels[0].set_xscale("log")
     panels[0].set_ylim(LOWEST - 0.04, HIGHEST + 0.04)
     shown = [name for name in SERIES if (points["series"] == name).any()]

@@ -1,4 +1,4 @@
-"""README's Python does what it says: every block is run, in one folder with a saved model."""
+"""README does what it says: its Python is run, in one folder with a saved model, and its table is that of the runs."""
 
 import re
 from pathlib import Path
@@ -9,6 +9,8 @@ import torch
 from stable_baselines3 import DQN, PPO, SAC
 
 import otr
+from pipelines.report.headline import headline_table
+from tests.committed import RESULTS
 
 README = Path(__file__).parents[1] / "README.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
@@ -41,13 +43,18 @@ def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     shown, text = capsys.readouterr().out.split("\n", 1)
     program, why = text.split("\nleaf ")
     assert shown == "Rollout(return 500 ± 0 over 100 episodes, 50,000 steps)"
-    tree, net, played = names["tree"], names["net"], names["played"]
-    assert 1 < tree.n_leaves < otr.map_network(net).n_leaves
-    np.testing.assert_array_equal(tree.predict(played.states), net.predict(played.states))
+    policy, exact, played = names["policy"], names["exact"], names["played"]
+    assert 1 < exact.n_leaves < otr.map_network(policy).n_leaves
+    np.testing.assert_array_equal(exact.predict(played.states), policy.predict(played.states))
     read = otr.parse_program(program, ["x", "v", "angle", "spin"], output_names=["left", "right"], labels=True)
-    assert (read.predict(played.states) == played.actions).mean() > 0.99  # its numbers have four digits
-    assert "\nnearest state of another label, " in why and "  decisions\n" in why
+    states = played.states  # its numbers have four digits
+    assert (read.predict(states) == names["tree"].predict(states)).mean() > 0.99
+    assert "\nnearest state of another label, " in why
     assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]
+
+
+def test_the_table_is_that_of_the_committed_runs() -> None:
+    assert headline_table(RESULTS) in README.read_text(encoding="utf-8"), "run python -m pipelines.report.headline"
 
 
 MODELS = {

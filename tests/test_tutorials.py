@@ -1,6 +1,8 @@
 """The tutorials do what they say: their Python and their commands are executed, in order, in one folder a page."""
 
+import json
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -55,3 +57,18 @@ def test_from_a_csv_to_a_tree(
     assert names["one"].score(X, y) > max(0.97, names["many"].score(X, y))
     assert names["one"].tree_.n_leaves < names["many"].tree_.n_leaves
     assert "width" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["tutorial", "tutorial-data"])
+def test_the_notebook_is_the_page(name: str) -> None:
+    """So what the page does is what the notebook does; links and commands are written as notebooks need them."""
+    make = runpy.run_path(str(DOCS / "notebooks/make.py"))
+    text = (DOCS / f"notebooks/{name}.ipynb").read_text(encoding="utf-8")
+    assert text == make["notebook"](DOCS / f"{name}.md"), "run python docs/notebooks/make.py"
+    cells = json.loads(text)["cells"]
+    code = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
+    assert re.sub("^!", "", code, flags=re.MULTILINE) == "\n".join(
+        block.rstrip("\n") for _, block in BLOCK.findall((DOCS / f"{name}.md").read_text(encoding="utf-8"))
+    )
+    assert [link for cell in cells for link in re.findall(r"\]\(([^)#:]+)", cell["source"])
+            if not (DOCS / "notebooks" / link).exists()] == []  # fmt: skip

@@ -11,6 +11,7 @@ from stable_baselines3 import DQN, PPO, SAC
 
 import otr
 from pipelines.report.headline import headline_table
+from pipelines.report.verdicts import verdicts
 from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_succeeds
 
@@ -69,8 +70,10 @@ def test_the_commands_of_your_zip_run(folder: Path) -> None:
     assert "double" in (folder / "policy.c").read_text() and "<html" in (folder / "policy.html").read_text()[:200]
 
 
-def test_the_table_is_that_of_the_committed_runs() -> None:
+def test_tables_are_those_of_the_committed_runs() -> None:
     assert headline_table(RESULTS) in README.read_text(encoding="utf-8"), "run python -m pipelines.report.headline"
+    findings = (RESULTS.parent / "docs/findings.md").read_text(encoding="utf-8")
+    assert verdicts(RESULTS) in findings, "run python -m pipelines.report.verdicts"
 
 
 MODELS = {

@@ -30,7 +30,7 @@ def headline_table(results_dir: Path) -> str:
         leaves = ", ".join(f"{source['leaves_pruned'].mean():,.0f}" for source in sources[1:])
         best = best_published(task)
         steps = " and ".join(dict.fromkeys(f"{source['steps'].mean() / 1e6:g}M" for source in sources[1:]))
-        texts = [*map(_spread, chosen), f"{best:,.{_decimals(best)}f}", leaves, steps]
+        texts = [*(spread(cell["mean"], cell["std"]) for cell in chosen), f"{best:,.{_decimals(best)}f}", leaves, steps]
         lines.append(f"| {TASK_NAMES[task]} | {' | '.join(texts)} |")
     return "\n".join(lines)
 
@@ -40,9 +40,10 @@ def _runs_of(runs: pd.DataFrame, task: str, method: str, depth: str, cell: "pd.S
     return runs[(runs[list(own)] == pd.Series(own)).all(axis=1)]
 
 
-def _spread(cell: "pd.Series[float]") -> str:
-    digits = _decimals(cell["mean"])
-    return f"{cell['mean']:,.{digits}f} ± {cell['std']:,.{digits}f}"
+def spread(mean: float, std: float) -> str:
+    """Return a mean and its deviation, such as 3,454 ± 144, with as many decimals as its size needs."""
+    digits = _decimals(mean)
+    return f"{mean:,.{digits}f} ± {std:,.{digits}f}"
 
 
 def _decimals(number: float) -> int:

@@ -17,12 +17,17 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
+# Compilers and emulators of small controllers are Debian's; the tests that need one that is missing are skipped.
+CONTROLLERS := cppcheck gcc-avr avr-libc simavr gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
+    gcc-riscv64-unknown-elf qemu-system-misc
+
 # Dask and a browser: for the tests of launcher=dask and of the page alone. The browser is
 # the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'
 	command -v chromium chromium-browser google-chrome > /dev/null || $(BIN)/playwright install chromium \
 	    || apt-get install --yes --quiet chromium
+	apt-get install --yes --quiet --no-install-recommends $(CONTROLLERS) || echo "without: $(CONTROLLERS)"
 	@touch $@
 
 # Below results/local, so that it leaves the repository's own results alone.

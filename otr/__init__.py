@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from otr.control.search.polish import polish as polish
     from otr.control.settings import SearchSettings as SearchSettings
     from otr.core.domain import Domain as Domain
-    from otr.core.fixed_point_tree import FixedPointTree as FixedPointTree
+    from otr.core.fixed_point.tree import FixedPointTree as FixedPointTree
     from otr.core.head import Head as Head
     from otr.core.heads import (
         Argmax as Argmax,
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     )
     from otr.importers.critics import Critics as Critics, read_critics as read_critics
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
+    from otr.programs.c.float_error import FloatErrorBound as FloatErrorBound, float_error as float_error
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json
@@ -102,7 +103,7 @@ _NAMES_OF_MODULES = {
     "control.search.polish": "polish",
     "control.settings": "SearchSettings",
     "core.domain": "Domain",
-    "core.fixed_point_tree": "FixedPointTree",
+    "core.fixed_point.tree": "FixedPointTree",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
     "files.artefacts": "load save",
@@ -122,6 +123,7 @@ _NAMES_OF_MODULES = {
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.critics": "Critics read_critics",
     "importers.input_statistics": "ObservationStatistics",
+    "programs.c.float_error": "FloatErrorBound float_error",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

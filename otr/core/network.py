@@ -190,6 +190,14 @@ class ReluNetwork:
                 inputs[rows] = W[:, width:]
         return UnitForm(links, inputs, np.concatenate(self.biases), tuple(starts))
 
+    def gains(self) -> FloatArray:
+        """Return by how much an output can change, at most, with each hidden neuron's activation, times that: (n,)."""
+        units, n = self.unit_form(), self.n_hidden
+        gains = np.concatenate((np.zeros((n, self.n_outputs)), np.eye(self.n_outputs)))
+        for neuron in reversed(range(n)):
+            gains[neuron] = np.abs(units.links[:, neuron]) @ gains
+        return np.asarray(gains[:n].max(axis=1))
+
     def without_dead_neurons(self) -> ReluNetwork:
         """Return the network without the hidden neurons that reach no output; every layer keeps one at least."""
         units = self.unit_form()

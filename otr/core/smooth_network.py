@@ -76,7 +76,8 @@ class SmoothNetwork:
         layers = ReluNetwork(weights, biases, head=head, domain=domain)
         self._layers = layers
         self.weights, self.biases, self.head, self.domain = layers.weights, layers.biases, layers.head, layers.domain
-        self.n_inputs, self.n_outputs, self.hidden_widths = layers.n_inputs, layers.n_outputs, layers.hidden_widths
+        self.n_inputs, self.n_outputs, self.n_answers = layers.n_inputs, layers.n_outputs, layers.n_answers
+        self.hidden_widths, self.n_hidden = layers.hidden_widths, layers.n_hidden
         self.activation = activation
 
     def __repr__(self) -> str:

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.domain import Domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tanh_table import TanhTable
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.heads import head_from_dict
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
-from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError
 from otr.files.zip_members import read_members

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from otr.core.domain import Domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.errors import ArtefactError
 from otr.proof.certificate import Certificate
 

@@ -9,7 +9,7 @@ import numpy as np
 from otr.clock import time_limit
 from otr.core.arrays import IntArray
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree

@@ -13,7 +13,7 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.head import Head
 from otr.core.heads import TanhBox
 from otr.core.tree import ObliqueTree

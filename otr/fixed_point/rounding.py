@@ -11,11 +11,11 @@ import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.fixed_point_tree import HEADS_OF_INTEGERS, FixedPointTree
+from otr.core.fixed_point.tanh_table import TanhTable
+from otr.core.fixed_point.tree import HEADS_OF_INTEGERS, FixedPointTree
 from otr.core.head import Head, no_entry
 from otr.core.heads import Identity, TanhBox
 from otr.core.pattern_tree import PatternTree
-from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import InvalidTreeError
 from otr.fixed_point.parts import answer_ranges

@@ -6,7 +6,7 @@ from fractions import Fraction
 from typing import Any
 
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.heads import Identity
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree, require_tree

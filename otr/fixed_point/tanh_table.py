@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from otr.core.tanh_table import TanhTable
+from otr.core.fixed_point.tanh_table import TanhTable
 
 _CURVATURE = Fraction(7699, 10_000)  # above max |tanh''| = 4 / (3 sqrt 3) = 0.76980
 _TERMS = 96  # of exp's series, of which the rest is below 1e-20 up to exp(22)

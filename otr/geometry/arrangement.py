@@ -24,7 +24,7 @@ from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm
 from otr.errors import TreeTooLargeError
-from otr.geometry.largest_balls import AnyBases, joined, largest_balls, rounding_at
+from otr.geometry.largest_balls import AnyBases, farthest, joined, largest_balls, rounding_at
 from otr.geometry.rational import independent_rows
 from otr.geometry.vertices import regions_at_vertices
 
@@ -164,7 +164,9 @@ class Walk:
         self.max_regions = max_regions
         self._sizes = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
-        self.n_linear_programs = self.n_tests = self.n_found = 0
+        # Values of tests up to which a side is left out, though states are in it; and as a share of the inner point's.
+        self.thin, self.thin_share = np.zeros(self.n_bits), 0.0
+        self.n_linear_programs = self.n_tests = self.n_found = self.n_thin = 0
         self._n_open = self._n_done = 0  # regions that are not complete, and the tests that the last of them followed
 
     def run(self, start: Block) -> Iterator[Block]:
@@ -255,14 +257,24 @@ class Walk:
         balls = largest_balls(rows, block.group[asked], signs, block.bases.take(asked), test)
         self.n_linear_programs += len(asked)
         found = np.flatnonzero(~balls.is_empty)
+        thin = self.thin[block.outcomes.shape[1]] + self.thin_share * np.abs(values) * rows.lengths[of_group, test]
+        if thin.any():
+            reached = farthest(rows, block.group[asked[found]], signs[found], balls.bases.take(found), test)
+            is_thin = reached <= thin[asked[found]]
+            self.n_thin += int(is_thin.sum())
+            found = found[~is_thin]
         n_found = np.bincount(asked[found], minlength=len(near)) + is_clear
         kept = np.flatnonzero(is_clear | (n_found == 0))  # a test that is 0 up to rounding does not split it
+        has_both = n_found[asked[found]] == 2
+        found, n_alone = np.concatenate((found[~has_both], found[has_both])), int((~has_both).sum())
         parents = np.concatenate((kept, asked[found]))
         outcomes = np.concatenate((near[kept], right[found]))
         is_split = n_found[parents] == 2
         signs = block.signs[parents]
         signs[:, test] = np.where(is_split, np.where(outcomes, 1, -1), 0)
         margins = np.where(n_found == 2, np.minimum(block.radii, np.abs(values)), block.radii)[kept]
+        # Where the test's row bounds no region, that goes on from the basis before, which has no such row.
+        bases = [block.bases.take(parents[: len(kept) + n_alone]), balls.bases.take(found[n_alone:])]
         return Block(
             block.origin[parents],
             np.column_stack((block.outcomes[parents], outcomes)),
@@ -271,6 +283,6 @@ class Walk:
             block.rows,
             np.concatenate((block.centres[kept], balls.centres[found])),
             np.concatenate((margins, balls.radii[found])),
-            joined([block.bases.take(kept), balls.bases.take(found)]),
+            joined(bases),
             block.n_ahead - 1,
         )

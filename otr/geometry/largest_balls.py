@@ -224,6 +224,22 @@ def _pivot_until_decided(
     return Balls(is_empty, centres, radii, done)
 
 
+def farthest(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: AnyBases, asked: int) -> FloatArray:
+    """Return a bound (n,), but for rounding, on the value of a row in each polytope, by the multipliers of bases.
+
+    It is in the units that the row had before it was made of unit length, and infinite where they do not bound it.
+    """
+    of_group, at = rows.of(group), np.where(bases.rows >= 0, bases.rows, 0).astype(np.int64)
+    weights = np.where(bases.rows >= 0, np.maximum(bases.multipliers, 0.0), 0.0)
+    signed = weights * np.take_along_axis(signs, at, axis=1)
+    slopes = np.abs(np.einsum("nq,nqd->nd", signed, rows.a[of_group[:, None], at]))
+    slopes[:, rows.is_open] = np.where(slopes[:, rows.is_open] > 0, np.inf, 0.0)
+    highest = np.einsum("nq,nq->n", signed, rows.b[of_group[:, None], at]) + slopes.sum(axis=1)
+    of_asked = np.where(bases.rows == asked, weights, 0.0).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(of_asked > 0, highest / of_asked, np.inf) * rows.lengths[of_group, asked])
+
+
 def rounding_at(X: FloatArray) -> FloatArray:
     """Return up to where the value of a row at each state (n, d) is rounding, for a start: (n,)."""
     rounding: FloatArray = _ROUNDING * (1e-2 + np.abs(X).max(axis=1, initial=0.0))

@@ -22,6 +22,8 @@ from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.geometry.rational import Integers, Point, integers
 
+_FLAT = 1e-300  # length of a row that has none
+_NEGLIGIBLE = 1e-13  # of the largest multiplier
 _BLAND = 10  # times as many pivots as places, before the rule that cannot go round in circles
 _FREE, _CAP = -2, -1  # what is tight at a place of the basis, where it is no row: x_j = 0, t = cap
 
@@ -115,24 +117,69 @@ def _proposed(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactB
     """Return which inputs are not at a limit where t is largest, and of the others which are at the higher one."""
     from scipy.optimize import linprog
 
-    sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
+    slopes, offsets, sizes = _in_half_widths(rows, box)
     unit = max((size // weight for size, weight in zip(sizes, weights, strict=True) if weight), default=1) or 1
-    a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
     w = np.array([weight * unit / size for size, weight in zip(sizes, weights, strict=True)])
-    # In half widths z from the middle, so that a small box is no smaller than the solver's tolerances.
-    bounded = np.isfinite(box.low)
-    low, high = np.where(bounded, (box.low, box.high), 0.0)
-    half = np.where(low < high, (high - low) / 2, 1.0)
-    farthest = float(half.max(initial=0.0)) or 1.0
-    slopes, offsets = a[:, :-1] * half, a[:, -1] + a[:, :-1] @ (low + (high - low) / 2)
+    bounded, is_wide = np.isfinite(box.low), box.low < box.high
+    farthest = float(_half_widths(box)[1].max(initial=0.0)) or 1.0
     lengths = abs(slopes).max(axis=1, initial=0.0)
     lengths = np.where(lengths > 0, lengths, 1.0)
-    bounds = [(-limit, limit) for limit in np.where(bounded, low < high, np.inf).tolist()]
+    bounds = [(-limit, limit) for limit in np.where(bounded, is_wide, np.inf).tolist()]
     objective, tops = np.append(np.zeros(len(bounds)), -1.0), [(None, float(cap / unit) / farthest)]
     rows_of_z = np.column_stack((-slopes, w * farthest)) / lengths[:, None]
     solved = linprog(objective, A_ub=rows_of_z, b_ub=offsets / lengths, bounds=bounds + tops, method="highs")
     z = np.full(len(bounds), -1.0) if solved.x is None else solved.x[:-1]
-    return (abs(z) < 1) & (low < high) | ~bounded, z >= 1
+    return (abs(z) < 1) & is_wide | ~bounded, z >= 1
+
+
+def _in_half_widths(rows: Integers, box: ExactBox) -> tuple[FloatArray, FloatArray, list[int]]:
+    """Return rows' slopes (m, d) and offsets (m,) in half widths of a box from its middle, each over its row's size.
+
+    So a small box is no smaller than a solver's tolerances.
+    """
+    sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
+    a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
+    a = a.reshape(rows.shape)
+    middle, half = _half_widths(box)
+    return a[:, :-1] * half, a[:, -1] + a[:, :-1] @ middle, sizes
+
+
+def _half_widths(box: ExactBox) -> tuple[FloatArray, FloatArray]:
+    """Return the middle (d,) and the half widths of a box, 1 where there is none."""
+    low, high = np.where(np.isfinite(box.low), (box.low, box.high), 0.0)
+    half = np.where(low < high, (high - low) / 2, 1.0)
+    return low + (high - low) / 2, half
+
+
+def near_largest(rows: Integers, forms: Integers, box: ExactBox) -> tuple[FloatArray, list[dict[int, float]]] | None:
+    """Return where forms (k, d + 1) are largest in a box where no row is below 0, and what bounds them, or None.
+
+    These are states (k, d) and multipliers of rows, found by HiGHS in floating point, all programs as one: the sum of
+    a form and the rows with its multipliers is nowhere in the box much above the form's largest value.
+    """
+    from scipy.optimize import linprog
+    from scipy.sparse import eye_array, kron
+
+    k, m = len(forms), len(rows)
+    slopes, offsets, sizes = _in_half_widths(rows, box)
+    objectives, _, of_forms = _in_half_widths(forms, box)
+    lengths, of_objectives = (np.maximum(np.linalg.norm(each, axis=1), _FLAT) for each in (slopes, objectives))
+    limits = np.where(np.isfinite(box.low), box.low < box.high, np.inf)
+    solved = linprog(
+        -(objectives / of_objectives[:, None]).ravel(),
+        A_ub=kron(eye_array(k), -slopes / lengths[:, None], format="csr"),
+        b_ub=np.tile(offsets / lengths, k),
+        bounds=np.tile(np.column_stack((-limits, limits)), (k, 1)),
+        method="highs",
+    )
+    if solved.status != 0:
+        return None
+    found = np.maximum(-solved.ineqlin.marginals.reshape(k, m), 0.0) * of_objectives[:, None] / lengths
+    middle, half = _half_widths(box)
+    return solved.x.reshape(k, -1) * half + middle, [
+        {row: value * (size / sizes[row]) for row, value in enumerate(weights) if value > _NEGLIGIBLE * max(weights)}
+        for weights, size in zip(found.tolist(), of_forms, strict=True)
+    ]
 
 
 def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum:

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Layered
 from otr.core.tree import ObliqueTree, require_tree
 
 # What ends a comment in C or structured text, opens one there, or begins a trigraph: a space goes between.
@@ -50,7 +50,7 @@ def names_for(
 
 
 def names_of(
-    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+    policy: ObliqueTree | Layered, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
     """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these.
 
@@ -88,7 +88,7 @@ def _require_list(names: Sequence[str], argument: str) -> None:
         raise ValueError(f"{argument} is the text {names!r}, expected a list of names")
 
 
-def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str]]:
+def _usual_names(policy: ObliqueTree | Layered) -> tuple[list[str], list[str]]:
     """Return the names of inputs and answers that have none: x0, x1, ..., and y0, y1, ... or the labels' numbers."""
     # The tree that a network is decides its labels by tests.
     labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else policy.head.gives_labels
@@ -97,7 +97,7 @@ def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str
 
 
 def shown_names(
-    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+    policy: ObliqueTree | Layered, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
     """Return the names of `names_of` in one line each; a name without printable characters becomes the default one."""
     given, usual = names_of(policy, feature_names, output_names), _usual_names(policy)
@@ -125,13 +125,13 @@ def check_tree(tree: ObliqueTree) -> None:
     check_policy(tree)
 
 
-def check_policy(policy: ObliqueTree | ReluNetwork) -> None:
+def check_policy(policy: ObliqueTree | Layered) -> None:
     """Raise ValueError for a policy that no format can write: without inputs."""
     if policy.n_inputs == 0:
         raise ValueError("the tree has no inputs; a program needs at least one")
 
 
-def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:
+def give_labels(policy: ObliqueTree | Layered) -> bool:
     """Return whether the answers of a tree or network are labels."""
     decided = isinstance(policy, ObliqueTree) and policy.labels is not None
     return decided or policy.head.gives_labels

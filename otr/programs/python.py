@@ -9,9 +9,11 @@ from functools import singledispatch
 
 import numpy as np
 
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
+from otr.programs.fixed_point_python import fixed_point_python
 from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import Names, check_tree, give_labels, label_name, names_for
 from otr.programs.pid_gains import joined
@@ -30,13 +32,13 @@ from otr.programs.walk import (
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
 _LARGEST_EXPONENT = 709.782712893384  # math.exp raises OverflowError above it, where numpy's is inf
-_CALLED = ("exp", "tanh", "min", "max", "map", "float")
+_CALLED = ("exp", "tanh", "min", "max", "map", "float", "abs", "int", "len", "range")
 _RESERVED = (*keyword.kwlist, *_CALLED, "state", "outputs")
 _INDENT = "    "
 
 
 def to_python(
-    tree: ObliqueTree,
+    tree: ObliqueTree | FixedPointTree,
     *,
     name: str = "policy",
     feature_names: Sequence[str] | None = None,
@@ -48,6 +50,9 @@ def to_python(
     It computes with Python's floats, of 64 bits, also where it is given numbers of numpy's float32. It is written as
     nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at once, is written
     as tables and a loop. Numbers are written in their shortest exact form.
+
+    A `FixedPointTree` becomes a module of integers alone, which MicroPython runs, too, and answers as
+    ``predict_integers``.
 
     Args:
         tree: any tree.
@@ -69,6 +74,8 @@ def to_python(
     read = unicodedata.normalize("NFKC", name)  # as Python reads an identifier
     if not name.isidentifier() or keyword.iskeyword(read) or read in (*_CALLED, "__debug__"):
         raise ValueError(f"name is {name!r}, which cannot be the name of the Python function")
+    if isinstance(tree, FixedPointTree):
+        return fixed_point_python(tree, name, feature_names, output_names)
     check_tree(tree)
     tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name))

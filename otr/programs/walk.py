@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.tree import ObliqueTree
@@ -60,6 +61,15 @@ def child(tree: ObliqueTree) -> IntArray:
 
 def distinct_rows(rows: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the distinct rows in the order in which they first occur, and for each row which of them it is."""
+    return _distinct(rows)
+
+
+def distinct_integers(rows: IntArray) -> tuple[IntArray, IntArray]:
+    """Return what `distinct_rows` does, of integers."""
+    return _distinct(rows)
+
+
+def _distinct(rows: NDArray[Any]) -> tuple[NDArray[Any], IntArray]:
     unique, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)

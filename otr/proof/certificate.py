@@ -3,10 +3,10 @@
 For each leaf the certificate lists the network's cells inside the leaf's region, and for each cell and each hidden
 neuron whose boundary does not cut it, Farkas multipliers: in the cell the neuron's pre-activation, in the direction of
 its sign, is a sum of the cell's rows with weights that are not negative, up to a remainder that is bounded over the
-domain. So the neuron cannot be on the other side by more than that remainder, the missing branch is empty, and the
-network is an affine map there, which is compared with the leaf's. A leaf that no state reaches, or a cell that holds
-none, comes with multipliers that show it. `otr.certify` (otr/proof/certify.py) finds the proof, `otr.verify`
-(otr/proof/verify.py) checks it without a solver.
+domain. So the neuron cannot be on the other side by more than that remainder, and the network is an affine map there
+but for what such remainders change of its outputs; the leaf's map is compared with that. A leaf that no state reaches,
+or a cell that holds none, comes with multipliers that show it. `otr.certify` (otr/proof/certify.py) finds the proof,
+`otr.verify` (otr/proof/verify.py) checks it without a solver.
 """
 
 from __future__ import annotations

@@ -2,17 +2,22 @@
 
 The search is in floating point, and what it finds is checked in exact arithmetic. Where it does not hold, or where a
 leaf is too thin for floating point, the search is repeated in exact arithmetic (`otr.proof.exact_cells`).
+
+Of a tree that equals the network only roughly, as one with rounded coefficients, a side of a test is first left out
+where the states in it change no output by more than `max_error`: their cells would be many slivers. What they do change
+counts in the bound; where that is too large, less is left out.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from itertools import chain
 
 import numpy as np
 
 from otr.clock import check_time, time_limit
-from otr.core.arrays import IntArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
@@ -33,11 +38,13 @@ from otr.proof.exact_cells import (
     refused_at,
 )
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork, is_wide, rounded_up
-from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
+from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk, with_smallest_bounds
 from otr.proof.label_cells import near_cell
-from otr.proof.verify import Checker
+from otr.proof.verify import NEGLIGIBLE, Checker, bits, rows_of
 
 _MANY_INPUTS = 128  # of which the sides are never rows
+_INWARDS = 1e-3  # of the way from a corner of a cell to its middle
+_SHARES = (1.0, 0.5, 0.2, 0.0)  # of max_error, by which a side of a test may count that is left out, in this order
 
 
 def certify(
@@ -115,6 +122,12 @@ class _Certification:
         self.n_programs = 0
         self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept
         self.walk = Walk(pair.network, pair.network.unit_form(), pair.domain, max_regions)
+        # Values of tests that change no output by more than max_error; of labels, which let states be so far away.
+        self.allowed, self.allowed_share = np.zeros(self.walk.n_bits), 0.0
+        if tree.labels is not None:
+            self.allowed_share = max_error / 2
+        elif max_error:
+            self.allowed[: network.n_hidden] = max_error / np.maximum(network.gains(), np.finfo(np.float64).tiny)
 
     def reached(self) -> str:
         """Return the progress of the search, as text."""
@@ -150,15 +163,25 @@ class _Certification:
             shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
             cells += self._cells_of_thin_leaf(leaf, shown)
         start = start_of_walk(leaves, rows, signs, balls)
-        for leaf, found in self._walked(start, names).items():
-            cells += self._proved(leaf, found)
+        for share in _SHARES:
+            if not len(start.origin):
+                break
+            self.walk.thin, self.walk.thin_share = share * self.allowed, share * self.allowed_share
+            self.walk.n_thin = 0
+            found = self._walked(start, names)
+            is_last = not self.walk.n_thin  # with a smaller share the cells are the same
+            proved = [self._proved(leaf, found[leaf], is_last=is_last) for leaf in start.origin.tolist()]
+            cells += chain(*proved)
+            start = start.take(np.array([not each for each in proved], dtype=np.bool_))
         return cells
 
     def _walked(self, start: Block, names: dict[int, list[str]]) -> dict[int, list[Cell]]:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
         by_leaf: dict[int, list[Cell]] = {}
-        for block in self.walk.run(start) if len(start.origin) else ():
-            self._check_answers(block)
+        for block in self.walk.run(start):
+            # Labels are compared in wide regions: those of a sliver may differ where the network's tie.
+            is_wide = block.radii > (0 if self.pair.tree.labels is None else 2 * float(self.max_error))
+            self._check_answers(self.pair.domain.unscaled(block.centres[is_wide]))
             has_labels = self.pair.tree.labels is not None
             found, n_solved = cells_of(block, names, start.rows.n_rows, self.pair.domain, has_labels)
             self.n_programs += n_solved
@@ -166,14 +189,9 @@ class _Certification:
                 by_leaf.setdefault(cell.leaf, []).append(cell)
         return by_leaf
 
-    def _check_answers(self, block: Block) -> None:
-        """Raise CertificateError if tree and network differ at an inner point of a region: a quick check.
-
-        Labels are compared in wide regions: those of a sliver may differ where the network's tie.
-        """
+    def _check_answers(self, X: FloatArray) -> None:
+        """Raise CertificateError if tree and network differ at one of some states (n, d): a quick check."""
         tree, network = self.pair.tree, self.pair.network
-        is_wide = block.radii > (0 if tree.labels is None else 2 * float(self.max_error))
-        X = self.pair.domain.unscaled(block.centres)[is_wide]
         if tree.labels is not None:
             suspect = tree.predict(X) != network.predict(X)
         else:
@@ -200,12 +218,16 @@ class _Certification:
             return [Cell(leaf, "", (), empty=as_sum(point))]
         return self._exact_cells(leaf, of_leaf, point)
 
-    def _proved(self, leaf: int, cells: list[Cell]) -> list[Cell]:
-        """Return a leaf's cells with proofs that hold, found again where these do not."""
+    def _proved(self, leaf: int, cells: list[Cell], *, is_last: bool) -> list[Cell]:
+        """Return a leaf's cells with proofs that hold; where these do not, none or, at last, cells found again."""
         proved = []
         for cell in cells:
             check_time()
-            better = cell if self._is_proved(cell) else self._closer(cell)
+            better = self._sharp(cell) or (self._closer(cell) if is_last else None)
+            if better is None and not is_last:
+                self.errors.pop(leaf, None)
+                self.walk.n_found -= len(cells)
+                return []
             if better is None:
                 of_leaf = self.pair.rows_of_leaf(leaf)
                 point = decide_in(self.pair, of_leaf)
@@ -216,30 +238,40 @@ class _Certification:
         check_cover(leaf, proved)
         return proved
 
+    def _sharp(self, cell: Cell) -> Cell | None:
+        """Return a cell, with the smallest bounds unless its own are negligible; None if these do not do."""
+        error, has_labels = self.checker.error(cell), self.pair.tree.labels is not None
+        if error > (self.max_error if has_labels else NEGLIGIBLE):
+            self.n_programs += 1
+            sharp, states = with_smallest_bounds(self.pair, cell)
+            of_sharp = self.checker.error(sharp)
+            cell, error = (sharp, of_sharp) if of_sharp < error else (cell, error)
+            if error > self.max_error and not has_labels:
+                self._check_answers(states + _INWARDS * (states.mean(axis=0, keepdims=True) - states))
+        return cell if self._keep(cell.leaf, error) else None
+
     def _closer(self, cell: Cell) -> Cell | None:
         """Return a cell as empty, or with bounds of its own on the differences in it; None if these do not do."""
-        pair, n = self.pair, self.pair.network.n_hidden
-        outcomes = tuple(outcome == "1" for outcome in cell.outcomes)
-        forms = pair.forms(outcomes[:n])
-        tests = [*forms[:n], *pair.head_tests(forms, outcomes)]
-        rows = pair.rows_of_leaf(cell.leaf)
-        for split in cell.splits:
-            rows[f"neuron {split}"] = ExactRow(tests[split] if outcomes[split] else -tests[split], outcomes[split])
+        pair, outcomes = self.pair, tuple(bits(cell.outcomes))
+        rows = rows_of(pair, cell, pair.turned(outcomes))
         point = decide_in(pair, rows)
         self.n_programs += 1
         if not isinstance(point, tuple):
             if not cell.splits:
                 return None
             return Cell(cell.leaf, cell.outcomes[: cell.splits[-1] + 1], cell.splits, empty=as_sum(point))
+        forms = pair.forms(outcomes[: pair.network.n_hidden])
         bounded = self._bounded(cell, ExactCell(cell.leaf, outcomes, rows, {}, point, forms))
         return bounded if self._is_proved(bounded) else None
 
     def _is_proved(self, cell: Cell) -> bool:
-        """Return whether the bound on the difference in a cell is small enough, and keep it if so."""
-        error = self.checker.error(cell)
+        return self._keep(cell.leaf, self.checker.error(cell))
+
+    def _keep(self, leaf: int, error: Fraction) -> bool:
+        """Return whether the bound on the difference in a cell of a leaf is small enough, and keep it if so."""
         if error > self.max_error:
             return False
-        self.errors[cell.leaf] = max(self.errors.get(cell.leaf, error), error)
+        self.errors[leaf] = max(self.errors.get(leaf, error), error)
         return True
 
     def _bounded(self, cell: Cell, exact: ExactCell) -> Cell:

@@ -89,11 +89,16 @@ class TreeOnDomain(ExactTree):
         return self.domain.n_inputs if self.basis is None else self.basis.n_rows
 
     @property
-    def box(self) -> ExactBox | None:
-        """The limits of inputs that have two, where these are no rows."""
+    def two_limits(self) -> ExactBox:
+        """The limits of inputs that have two."""
         is_open = np.isinf(self.domain.low) | np.isinf(self.domain.high)
         low, high = np.where(is_open, -np.inf, self.domain.low), np.where(is_open, np.inf, self.domain.high)
-        return ExactBox(low, high) if self.in_box else None
+        return ExactBox(low, high)
+
+    @property
+    def box(self) -> ExactBox | None:
+        """The limits, where these are no rows."""
+        return self.two_limits if self.in_box else None
 
     def stacked(self, rows: dict[str, ExactRow]) -> Integers:
         """Return rows as one array (m, d + 1), in the inputs."""

@@ -6,6 +6,8 @@ What is found here is a proposal: `otr.proof.certify` checks every cell in exact
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,11 @@ from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree
 from otr.geometry.arrangement import Block
 from otr.geometry.largest_balls import Balls, largest_balls
+from otr.geometry.rational_linear_programs import near_largest
 from otr.geometry.regions import leaf_paths
 from otr.proof.certificate import Cell, Sum
+from otr.proof.exact_rows import TreeAndNetwork
+from otr.proof.verify import bits, rows_of
 
 _NEGLIGIBLE = 1e-13  # of the largest multiplier
 _DIGITS = (3, 6)  # of multipliers, tried in this order
@@ -122,6 +127,29 @@ def _multipliers(
         enough = np.isfinite(left) & (left >= np.minimum(_CLEAR, lowest(as_found)))
         multipliers = np.where(enough[:, None], few, multipliers)
     return basis, multipliers
+
+
+def with_smallest_bounds(pair: TreeAndNetwork, cell: Cell) -> tuple[Cell, FloatArray]:
+    """Return a cell with the sums that bound its tests and differences best, and states (n, d) where these are largest.
+
+    Where no sums are found it is the cell as it was, and no states.
+    """
+    outcomes = bits(cell.outcomes)
+    turned = pair.turned(outcomes)
+    implied = set(pair.sides).difference(pair.domain.sides(in_box=True)[1])  # by the limits
+    rows = {name: row for name, row in rows_of(pair, cell, turned).items() if name not in implied}
+    tests = [-form for test, form in enumerate(turned) if test not in cell.splits]
+    differences = np.empty((0, pair.n_coordinates + 1), dtype=object)
+    if pair.tree.labels is None:
+        differences = pair.differences(cell.leaf, pair.forms(outcomes[: pair.network.n_hidden]), outcomes)
+    forms = [*tests, *differences, *-differences]
+    found = near_largest(pair.stacked(rows), pair.written_out(np.array(forms))[0], pair.two_limits) if forms else None
+    if found is None:
+        return cell, np.empty((0, pair.domain.n_inputs))
+    names, n, (states, multipliers) = list(rows), len(tests), found
+    sums = [Sum(tuple(names[row] for row in each), tuple(each.values())) for each in multipliers]
+    both = zip(sums[n : n + len(differences)], sums[n + len(differences) :], strict=True)
+    return replace(cell, proofs=tuple(sums[:n]), bounds=tuple(chain(*both))), states
 
 
 def _significant(values: FloatArray, digits: int) -> FloatArray:

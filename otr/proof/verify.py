@@ -4,11 +4,11 @@ Let A be the pattern that a cell of a certificate claims, and z_j^A(x) the pre-a
 before it behave as in A: an affine function. The proof of neuron j shows ``s_j z_j^A(x) >= -e_j`` in the cell, where
 s_j is its sign in A and e_j >= 0 the bound of the remainder. By induction over the neurons,
 
-    |z_j(x) - z_j^A(x)| <= E_j := sum_k |w_jk| D_k,      |a_k(x) - a_k^A(x)| <= D_k := E_k + (1 - negative_slope) e_k,
+    -E_j^- <= z_j(x) - z_j^A(x) <= E_j^+,      -E_k^- <= a_k(x) - a_k^A(x) <= E_k^+ + (1 - negative_slope) e_k,
 
-with w_jk the weight from neuron k to unit j, as the activation is 1-Lipschitz and its two pieces differ by no more
-than ``(1 - negative_slope) |z|``. For an output the same sum bounds its distance from the affine map of A, and the
-leaf's map is compared with that map.
+where E_j sums what the activations before can add or take away, times the weights: the activation is 1-Lipschitz and
+never falls, and is above the wrong one of its two pieces by no more than ``(1 - negative_slope) |z|``. For an output
+the same sum bounds its distance from the affine map of A, and the leaf's map is compared with that map.
 
 Labels are compared by distances between states. Let Q be the piece of the network, with its sides, where its tests
 have the outcomes A, and the network the leaf's label. The proofs show ``r_i(x) >= -m_i u(x)`` in the cell for every
@@ -35,7 +35,6 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import singledispatch
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ from otr.geometry.rational import Integers, without_denominators
 from otr.proof.certificate import Cell, Certificate, Sum, check_cover
 from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, is_wide, rounded_up
 
-_NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
+NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
 
 
 @singledispatch
@@ -161,10 +160,9 @@ class Checker:
 
     def error(self, cell: Cell) -> Fraction:
         """Return the bound on the difference in a cell, 0 in an empty one; raise CertificateError if none is shown."""
-        pair, outcomes = self.pair, _bits(cell.outcomes)
+        pair, outcomes = self.pair, bits(cell.outcomes)
         n, turned = pair.network.n_hidden, pair.turned(outcomes)
-        rows = pair.rows_of_leaf(cell.leaf)
-        rows |= {f"neuron {split}": ExactRow(turned[split], outcomes[split]) for split in cell.splits}
+        rows = rows_of(pair, cell, turned)
         if cell.empty is not None:
             self._check_empty(cell, cell.empty, rows)
             return Fraction(0)
@@ -174,9 +172,10 @@ class Checker:
         for test, proof in zip(_fixed(cell), cell.proofs, strict=True):
             shortfalls[test] = self.shortfall(cell.leaf, turned[test], proof, rows)
         differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]), outcomes)
-        bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(differences)]
+        signed = [form for difference in differences for form in (difference, -difference)]
         errors = self._output_errors([_few_digits(shortfall) for shortfall in shortfalls[:n]])
-        return max(bound + error for bound, error in zip(bounds, errors, strict=True))
+        bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(signed)]
+        return max(Fraction(0), *(bound + error for bound, error in zip(bounds, errors, strict=True)))
 
     def _distance(self, cell: Cell, rows: dict[str, ExactRow], turned: list[Integers]) -> Fraction:
         """Return how far states of a cell are, at most, from the nearest at which the network has the leaf's label.
@@ -184,11 +183,11 @@ class Checker:
         `turned` are the network's tests in the directions of the cell's outcomes.
         """
         pair, near = self.pair, cell.near or cell.outcomes
-        n, bits = pair.network.n_hidden, _bits(near)
+        n, of_near = pair.network.n_hidden, bits(near)
         assert pair.tree.labels is not None
-        if pair.label(bits) != pair.tree.labels[cell.leaf]:
+        if pair.label(of_near) != pair.tree.labels[cell.leaf]:
             return INFINITE
-        forms = [*(pair.turned(bits) if cell.near else turned), *(side.numbers for side in pair.sides.values())]
+        forms = [*(pair.turned(of_near) if cell.near else turned), *(side.numbers for side in pair.sides.values())]
         if cell.thin:
             return self._sliver(cell, rows, forms)
         least, is_above = self.least(cell, forms, rows)
@@ -288,30 +287,27 @@ class Checker:
         return self.bounds.highest(total - form * scale) / scale
 
     def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, ExactRow]) -> Fraction:
-        """Return the bound on the absolute value of difference number `at` in a cell."""
-        highest = []
-        for side, signed in enumerate((form, -form)):
-            proof = cell.bounds[2 * at + side] if len(cell.bounds) > 2 * at + side else Sum((), ())
-            total, scale = self._total(cell.leaf, proof, rows)
-            highest.append(self.bounds.highest(total + signed * scale, enough=_NEGLIGIBLE * scale) / scale)
-        return max(*highest, Fraction(0))
+        """Return the bound on difference number `at` // 2, or on its negative if that is odd, in a cell."""
+        proof = cell.bounds[at] if len(cell.bounds) > at else Sum((), ())
+        total, scale = self._total(cell.leaf, proof, rows)
+        return self.bounds.highest(total + form * scale, enough=NEGLIGIBLE * scale) / scale
 
     def _output_errors(self, shortfalls: Sequence[Fraction]) -> list[Fraction]:
-        """Return E of the outputs, given e of the hidden neurons."""
+        """Return E+ and E- of each output, (2 o,), given e of the hidden neurons."""
         network = self.pair.network
         if not any(shortfalls):
-            return [Fraction(0)] * network.n_outputs
+            return [Fraction(0)] * (2 * network.n_outputs)
         units, n, active = network.unit_form(), len(shortfalls), Fraction(1) - Fraction(network.negative_slope)
-        of_units, of_activations = [Fraction(0)] * len(units.inputs), [Fraction(0)] * n
-        for start, stop in pairwise((*units.layer_starts, len(units.inputs))):
-            for unit in range(start, stop):
-                links = np.abs(units.links[unit, :start])
-                of_units[unit] = sum(
-                    (Fraction(link) * of_activations[k] for k, link in enumerate(links.tolist()) if link), Fraction(0)
-                )
-            for neuron in range(start, min(stop, n)):
-                of_activations[neuron] = of_units[neuron] + active * shortfalls[neuron]
-        return of_units[n:]
+        errors: list[tuple[Fraction, Fraction]] = []  # of activations and outputs, upwards and downwards
+        for unit, links in enumerate(units.links.tolist()):
+            up = down = Fraction(0)
+            for link, (upwards, downwards) in zip(links, errors, strict=False):
+                if link and (upwards or downwards):
+                    weight = Fraction(link)
+                    up += weight * upwards if link > 0 else -weight * downwards
+                    down += weight * downwards if link > 0 else -weight * upwards
+            errors.append((up + active * shortfalls[unit] if unit < n else up, down))
+        return [error for of_output in errors[n:] for error in of_output]
 
     def _total(self, leaf: int, terms: Sum, rows: dict[str, ExactRow]) -> tuple[Integers, int]:
         """Return a sum of rows, times the number that comes with it, and that number."""
@@ -369,12 +365,19 @@ class Checker:
             )
 
 
+def rows_of(pair: TreeAndNetwork, cell: Cell, turned: Sequence[Integers]) -> dict[str, ExactRow]:
+    """Return the rows of a cell: its leaf's, and the tests that split that, `turned` in the cell's direction."""
+    splits = {f"neuron {split}": ExactRow(turned[split], cell.outcomes[split] == "1") for split in cell.splits}
+    return pair.rows_of_leaf(cell.leaf) | splits
+
+
 def brought_to(row: Integers, axis: int, form: Integers) -> Integers:
     """Return a form, times the size of a row's slope, as it is where an input has been changed until the row is 0."""
     return np.asarray((form * row[axis] - row * form[axis]) * (1 if row[axis] > 0 else -1))
 
 
-def _bits(outcomes: str) -> list[bool]:
+def bits(outcomes: str) -> list[bool]:
+    """Return outcomes as truth values."""
     return [outcome == "1" for outcome in outcomes]
 
 

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 import otr
+from otr.core.smooth_network import Layered
 from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.cli.short_forms import SHORT, imitates, imitating, spelt_out
@@ -111,6 +112,15 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
     (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"program={quoted(program)}"])])
     config = job.config
     return config, policy_tree(config.program_text, config.env, program)
+
+
+def policy_of_model(env: str, model: str, of_env: Sequence[str] = ()) -> tuple[RunConfig, Layered]:
+    """Return the run that would play a model's policy, which need not have a tree, and that network."""
+    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"model={quoted(model)}", "stages=[import]"])])
+    policy = job.config.imported.policy
+    if not isinstance(policy, Layered):
+        raise ConfigError(f"model={model}: {policy.reason}, so it is no network that a program could hold")
+    return job.config, policy
 
 
 def _check_later_stages(config: RunConfig) -> None:

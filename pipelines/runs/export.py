@@ -5,14 +5,23 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
+
+import numpy as np
 
 import otr
+from otr.clock import time_limit
+from otr.programs.c.arduino import arduino_sketch
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings, results_folder
+from pipelines.config.stages import Side
 from pipelines.errors import ConfigError, PipelineError, check_choice
 from pipelines.play.printed_programs import names_of_env
 from pipelines.runs.finished_run import COMPACT, TREES, check_run, title_of, tree_of, visited_states
+from pipelines.runs.verify_run import question_domain, wanted_box
+
+_N_TESTED = 100  # random inputs with which C in fixed point tests itself
+_BOUND_S = 30.0  # for the bound of what floats change
 
 
 @dataclass(frozen=True)
@@ -21,13 +30,16 @@ class ExportConfig:
 
     run: FreeText = ""
     program: FreeText | None = None  # in place of a run
-    env: FreeText | None = None  # whose names the program has
+    model: FreeText | None = None  # likewise, the file of a policy, as of otr-run
+    env: FreeText | None = None  # whose names that has
     format: FreeText = ""
     tree: FreeText = "pruned"
     out: FreeText | None = None
     name: FreeText | None = None
     dtype: Annotated[str | None, OneOf("double", "float")] = None
     precision: Annotated[int | None, Range(0)] = None
+    box: list[Side] | None = None
+    bits: Annotated[int | None, Range(2, 24)] = None
     results_dir: Folder = field(default_factory=results_folder)
     debug: bool = False
 
@@ -44,6 +56,7 @@ class Format:
     options: tuple[str, ...] = ()
     is_picture: bool = False  # of the tree, with the states that it visits
     is_text: bool = True
+    is_fixed: bool = False  # in fixed point, which needs a box of states
 
 
 def _onnx(*arguments: Any, **options: Any) -> bytes:
@@ -57,10 +70,20 @@ def _drawn(suffix: str, tree: otr.ObliqueTree, **options: Any) -> bytes:
         return path.read_bytes()
 
 
+def _c_fixed(fixed: otr.FixedPointTree, **options: Any) -> str:
+    """Return C with a test of its own: random inputs, and what Python answers."""
+    low, high = fixed.input_low, fixed.input_high
+    states = np.random.default_rng(0).integers(low, high + 1, (_N_TESTED, fixed.n_inputs))
+    return otr.to_c(fixed, test_states=np.concatenate((low[None], high[None], states)), **options)
+
+
 FORMATS = {
     "text": Format(".txt", otr.to_text, ("precision",)),
     "python": Format(".py", otr.to_python, ("name",)),
-    "c": Format(".c", otr.to_c, ("name", "dtype")),
+    "c": Format(".c", otr.to_c, ("name", "dtype", "box")),
+    "c_fixed": Format(".c", _c_fixed, ("name", "box", "bits"), is_fixed=True),
+    "arduino": Format(".ino", arduino_sketch, ("name", "box", "bits"), is_fixed=True),
+    "micropython": Format(".py", otr.to_python, ("name", "box", "bits"), is_fixed=True),
     "structured_text": Format(".st", otr.to_structured_text, ("name",)),
     "latex": Format(".tex", otr.to_latex, ("precision",)),
     "dot": Format(".dot", otr.to_dot, ("precision",)),
@@ -74,7 +97,12 @@ FORMATS = {
 
 def check_export(config: ExportConfig, of_env: Sequence[str] = ()) -> None:
     """Raise ConfigError where the request cannot be met, whatever the run; `of_env` says more of the environment."""
-    check_policy(config.run, config.program, config.env, of_env)
+    check_policy(config.run, config.program, config.env, of_env, config.model)
+    if config.model and (config.format != "c" or config.tree != "pruned"):
+        raise ConfigError(
+            f"model={config.model} is written as the network that it is, by format=c without tree=; for its tree: "
+            f"otr-run env={config.env} model={config.model}"
+        )
     if config.program and config.tree != "pruned":
         raise ConfigError(f"tree={config.tree}: program={config.program} is one tree; leave tree={config.tree} out")
     if not config.format:
@@ -87,22 +115,26 @@ def check_export(config: ExportConfig, of_env: Sequence[str] = ()) -> None:
         raise ConfigError(
             f"format={config.format} is no text for a terminal; add out=policy{FORMATS[config.format].suffix}"
         )
-    for option in ("name", "dtype", "precision"):
+    for option in ("name", "dtype", "precision", "box", "bits"):
         if getattr(config, option) is not None and option not in FORMATS[config.format].options:
             takes = [name for name, known in FORMATS.items() if option in known.options]
             raise ConfigError(f"{option}={getattr(config, option)}: format={config.format} has none; "
                               f"these have: {', '.join(takes)}")  # fmt: skip
 
 
-def check_policy(run: str, program: str | None, env: str | None, of_env: Sequence[str] = ()) -> None:
-    """Raise ConfigError unless one policy is named: a run's, or a program with the environment that has its names."""
-    if not program:
+def check_policy(
+    run: str, program: str | None, env: str | None, of_env: Sequence[str] = (), model: str | None = None
+) -> None:
+    """Raise ConfigError unless one policy is named: a run's, or a program or a model and the environment it is for."""
+    files = [f"{key}={file}" for key, file in (("program", program), ("model", model)) if file]
+    if not files:
         check_run(run)
         check_no_environment(env, of_env)
-    elif run:
-        raise ConfigError(f"run={run} and program={program} are two policies; leave one of them out")
+    elif run or len(files) > 1:
+        named = [*([f"run={run}"] if run else []), *files]
+        raise ConfigError(f"{' and '.join(named)} are two policies; leave one of them out")
     elif not env:
-        raise ConfigError(f"program={program}: over which environment's names? Add env=NAME")
+        raise ConfigError(f"{files[0]}: over which environment's names? Add env=NAME")
 
 
 def check_no_environment(env: str | None, of_env: Sequence[str]) -> None:
@@ -111,24 +143,60 @@ def check_no_environment(env: str | None, of_env: Sequence[str]) -> None:
         raise ConfigError(f"{given}: a run has its own environment; leave {given} out")
 
 
-def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes:
-    """Return a policy as the program that was asked for, as text, or as bytes where the format is not text.
+def program_of(config: ExportConfig, run: RunConfig, policy: Any, folder: Path | None = None) -> tuple[Any, str]:
+    """Return a policy as the program that was asked for, as text or bytes, and what is proved of its rounding.
 
     Raises:
         ConfigError: an option that the format refuses, or a tree that it cannot hold.
         PipelineError: a package is missing.
     """
-    chosen = FORMATS[config.format]
-    options = {name: getattr(config, name) for name in chosen.options if getattr(config, name) is not None}
+    chosen, note = FORMATS[config.format], ""
+    known = [name for name in ("name", "dtype", "precision") if name in chosen.options]
+    options: dict[str, Any] = {name: getattr(config, name) for name in known if getattr(config, name) is not None}
+    options |= names_of_env(policy, run.env)
     if chosen.is_picture:
         options |= {"states": visited_states(run, policy), "title": title_of(run, config.tree)}
     try:
-        written: str | bytes = chosen.write(policy, **names_of_env(policy, run.env), **options)
+        if chosen.is_fixed:
+            box, what = question_domain(config.box, run, folder, policy)
+            policy, note = _in_fixed_point(policy, box, what, config.bits)
+        elif config.format == "c":
+            options["error"], note = _bounded_in_floats(config, run, folder, policy)
+        return chosen.write(policy, **options), note
     except ImportError as error:
         raise PipelineError(str(error)) from error
-    except ValueError as error:
+    except (TypeError, ValueError, otr.InvalidTreeError) as error:
         raise ConfigError(f"format={config.format}: {error}") from error
-    return written
+
+
+def _in_fixed_point(
+    tree: otr.ObliqueTree, box: otr.Domain, what: str, bits: int | None
+) -> tuple[otr.FixedPointTree, str]:
+    """Return a tree in fixed point, and what is proved of it."""
+    fixed = otr.to_fixed_point(tree, box, 16 if bits is None else bits)
+    proof = otr.certify_fixed_point(fixed, tree, box)
+    sizes = np.sqrt((tree.P**2).sum(axis=1))
+    distance = max((margin / size for margin, size in zip(proof.margins or (), sizes, strict=True) if size), default=0)
+    is_near = f"no action is off by more than {proof.max_error:.2g}"
+    is_near = "the label is the tree's" if fixed.head.gives_labels else is_near
+    share = "" if proof.share is None else f" ({proof.share:.2%} of its range)"
+    return fixed, f"{fixed.bits} bits: {is_near}{share}, farther than {distance:.2g} from the tests; on {what}"
+
+
+def _bounded_in_floats(
+    config: ExportConfig, run: RunConfig, folder: Path | None, policy: Any
+) -> tuple[otr.FloatErrorBound | None, str]:
+    """Return what rounding changes of a tree over a box that is known, and that as text; None where it has no bound."""
+    is_known = config.box is not None or wanted_box(run) is not None
+    if not isinstance(policy, otr.ObliqueTree) or isinstance(policy.head, otr.PidBox) or not is_known:
+        return None, ""
+    box, what = question_domain(config.box, run, folder, policy)
+    try:
+        with time_limit(_BOUND_S, lambda: "the tree is large"):
+            error = otr.float_error(policy, box, cast(Any, config.dtype or "double"))
+    except otr.TimeLimitError:
+        return None, ""
+    return error, f"{error}; on {what}"
 
 
 def write_program(config: ExportConfig, program: str | bytes) -> Path:

@@ -18,6 +18,7 @@ from tests.core.test_head import KNOWN
 FORMATS: dict[str, Callable[[otr.ObliqueTree], object]] = {
     name: getattr(otr, name) for name in otr.__all__ if name.startswith("to_") and name != "to_fixed_point"
 }
+IN_INTEGERS = {otr.Identity, otr.ClipBox, otr.TanhBox, otr.Sign, otr.Argmax}
 
 
 def dispatches(package: Any) -> dict[str, Any]:
@@ -45,6 +46,12 @@ def test_there_is_a_head_of_every_kind_to_try() -> None:
 
 def test_every_format_has_an_entry_for_every_head() -> None:
     found = dispatches(otr.programs)
+    of_integers = {name: found.pop(name) for name in list(found) if "fixed_point" in name}
+    assert len(of_integers) == 2
+    for name, function in of_integers.items():
+        assert set(function.registry) == {*IN_INTEGERS, object}, name
+    bounded = found.pop("otr.programs.c.float_error._after_head")  # which refuses PidBox before
+    assert set(bounded.registry) == {*HEADS.values(), object} - {otr.PidBox}
     assert {name.split(".")[2] for name in found} == {"c", "notation", "onnx", "picture", "python", "structured_text"}
     for name, function in found.items():
         assert set(function.registry) == {*HEADS.values(), object}, name

@@ -164,7 +164,8 @@ def test_a_tampered_tree_is_refused_with_the_leaf(head: str) -> None:
     wrong = [tree.replace(children_left=tree.children_right, children_right=tree.children_left)]
     for node in range(0, tree.n_nodes, 3):
         moved = tree.replace(v=tree.v + 0.01 * (np.arange(tree.n_nodes) == node))
-        if not otr.find_difference(moved, tree, BOX).holds:  # else they have the same labels after all
+        # Else they have the same labels after all.
+        if head != "argmax" or not otr.find_difference(moved, tree, BOX).holds:
             wrong.append(moved)
     for other in wrong:
         with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
@@ -385,7 +386,8 @@ def test_labels_do_not_depend_on_the_size_of_outputs(size: float) -> None:
     near = otr.ObliqueTree([-1], [-2], [[1.0, 0.0]], [0.0], np.zeros((2, 1, 2)), [[-1.0], [1.0]], labels=[0, 1],
                            head=otr.Sign())  # fmt: skip
     assert otr.certify(near, network, BOX).max_error == 0.0
-    assert otr.certify(near.replace(v=np.array([1e-8])), network, BOX).max_error == pytest.approx(1e-8)
+    moved = near.replace(v=np.array([1e-8]))
+    assert otr.certify(moved, network, BOX, max_error=2e-8).max_error == pytest.approx(1e-8)
     with pytest.raises(otr.CertificateError, match="not the same function"):
         otr.certify(near.replace(v=np.array([1e-4])), network, BOX)
 

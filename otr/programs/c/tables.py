@@ -55,6 +55,22 @@ def real_table(name: str, values: FloatArray, dtype: CType) -> Table:
     return Table(lines, values.size * N_BYTES[dtype])
 
 
+def row_layout(rows: FloatArray, dtype: CType) -> Literal["constant", "dense", "single", "sparse"]:
+    """Return how `row_table` stores distinct rows (n, d + 1): in the way that takes the fewest bytes."""
+    per_row = np.count_nonzero(rows[:, :-1], axis=1)
+    columns = np.nonzero(rows[:, :-1])[1]
+    if not len(columns):
+        return "constant"
+    dense = rows.size * N_BYTES[dtype]
+    values = len(columns) * (N_BYTES[dtype] + integer_type(columns)[1]) + len(rows) * N_BYTES[dtype]
+    if dense <= values:
+        return "dense"
+    if per_row.max() == 1:
+        return "single"
+    starts = np.concatenate(([0], np.cumsum(per_row)))
+    return "dense" if dense <= values + len(starts) * integer_type(starts)[1] else "sparse"
+
+
 def row_table(name: str, rows: FloatArray, dtype: CType) -> Table:
     """Return affine rows (n, d + 1), the offset last, and the function ``name_at(row, x)`` that evaluates one of them.
 
@@ -62,21 +78,15 @@ def row_table(name: str, rows: FloatArray, dtype: CType) -> Table:
     whichever takes the fewest bytes.
     """
     coefficients, offsets = rows[:, :-1], rows[:, -1]
-    per_row = np.count_nonzero(coefficients, axis=1)
-    used_rows, columns = np.nonzero(coefficients)
-    starts = np.concatenate(([0], np.cumsum(per_row)))
     head = [f"static {dtype} {name}_at(long i, const {dtype} *x)", "{"]
-    if not len(columns):
+    layout = row_layout(rows, dtype)
+    if layout == "constant":
         table = real_table(name, offsets, dtype)
         return Table([*table.lines, "", *head, "    (void)x;", f"    return {name}[i];", "}", ""], table.n_bytes)
-    dense = rows.size * N_BYTES[dtype]
-    values = len(columns) * (N_BYTES[dtype] + integer_type(columns)[1]) + len(rows) * N_BYTES[dtype]
-    if dense <= values:
-        return _dense(name, rows, dtype, head)
-    if per_row.max() == 1:
-        return _single(name, rows, dtype, head)
-    if dense <= values + len(starts) * integer_type(starts)[1]:
-        return _dense(name, rows, dtype, head)
+    if layout != "sparse":
+        return (_dense if layout == "dense" else _single)(name, rows, dtype, head)
+    used_rows, columns = np.nonzero(coefficients)
+    starts = np.concatenate(([0], np.cumsum(np.count_nonzero(coefficients, axis=1))))
     parts = [
         integer_table(f"{name}_starts", starts),
         integer_table(f"{name}_columns", columns),
@@ -130,14 +140,19 @@ def _with_function(parts: list[Table], function: list[str]) -> Table:
     return Table([*lines, "", *function], sum(part.n_bytes for part in parts))
 
 
-def _declaration(kind: str, name: str, values: NDArray[Any], write: Callable[[Any], str]) -> list[str]:
+def integer_declaration(kind: str, name: str, values: IntArray, place: str) -> list[str]:
+    """Return the declaration of a table of integers of a given type, with an attribute that says where it lies."""
+    return _declaration(kind, name, values, _integer, place)
+
+
+def _declaration(kind: str, name: str, values: NDArray[Any], write: Callable[[Any], str], place: str = "") -> list[str]:
     shape = "".join(f"[{n}]" for n in values.shape)
     if values.ndim == 1:
         rows = [", ".join(write(value) for value in values.tolist())]
     else:
         rows = [f"{{{', '.join(write(value) for value in row)}}}," for row in values.tolist()]
     lines = [line for row in rows for line in wrapped(row, "    ")]
-    return [f"static const {kind} {name}{shape} = {{", *lines, "};"]
+    return [f"static const {kind} {name}{shape}{place} = {{", *lines, "};"]
 
 
 def _integer(value: int) -> str:

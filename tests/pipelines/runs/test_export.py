@@ -50,8 +50,31 @@ def test_files_of_every_format(export, tmp_path):
     states = np.random.default_rng(0).normal(size=(50, 11))
     tree = committed_tree(HOPPER)
     np.testing.assert_allclose(session.run(None, {"x": states})[0], tree.predict(states), atol=1e-12)
-    for suffix in (".c", ".st", ".tex", ".dot"):
+    for suffix in (".ino", ".st", ".tex", ".dot"):
         assert "foot" in (tmp_path / f"policy{suffix}").read_text()
+
+
+def test_fixed_point(export, tmp_path):
+    done = export(f"run={LANDER}", "format=micropython", "bits=12", "name=pilot")
+    assert done.returncode == 0 and done.stderr.startswith("12 bits: the label is the tree's, farther than 0.0")
+    scope, tree = {}, committed_tree(LANDER)
+    exec(done.stdout, scope)
+    assert "angle_rate = 0.0" in done.stdout
+    box = otr.Domain([-2.5, -2.5, -10, -10, -2 * np.pi, -10, 0, 0], [2.5, 2.5, 10, 10, 2 * np.pi, 10, 1, 1])
+    fixed = otr.to_fixed_point(tree, box, 12)
+    Q = fixed.to_integers(np.random.default_rng(0).uniform(box.low, box.high, size=(200, 8)))
+    agree = fixed.predict_integers(Q) == [scope["pilot"](q) for q in Q.tolist()]
+    assert agree.mean() > 0.99  # the box is the environment's in float32
+    narrow = export(f"run={HOPPER}", "format=c_fixed", "box=[z in 0.7..1.5]")
+    assert narrow.returncode == 2 and "has no limits for some states" in narrow.stderr
+    hopper = export(f"run={HOPPER}", "format=c_fixed", f"out={tmp_path}/hopper.c")
+    assert hopper.stderr.startswith("16 bits: no action is off by more than 0.0") and "POLICY_TEST" in (
+        tmp_path / "hopper.c").read_text()  # fmt: skip
+    bounded = export("run=pendulum/otr/depth-6/quick/seed-0", "format=c", "dtype=float")
+    assert "by rounding to float, no action changes by more than" in bounded.stderr
+    assert "For x in [-1, 1], [-1, 1], [-8, 8]: by rounding to float" in bounded.stdout
+    refused = export(f"run={HOPPER}", "format=c", "bits=8")
+    assert refused.returncode == 2 and "format=c has none; these have: c_fixed, arduino" in refused.stderr
 
 
 def test_full_and_compact(export, tmp_path):

@@ -25,6 +25,7 @@ from pipelines.play.actor_files import load_actor, load_oracle_network
 from pipelines.runs.below_random import warning_below_random
 from pipelines.stages.import_model import read_model
 from tests.pipelines.conftest import otr_command, otr_succeeds
+from tests.programs.test_c import compiled, runner
 
 CART_POLE = EnvConfig("CartPole-v1", "discrete", "CartPole-v1")
 SMOKE = ("env=CartPole-v1", "budget=smoke", "n_workers=1")
@@ -234,6 +235,18 @@ def test_a_tanh_policy_is_an_oracle(models):
     assert summary["oracle"]["hidden_widths"] == [5, 5] and "oracle" in summary["policies"]
     plan = otr_command("otr-plan", "-m", *SMOKE, "method=viper,ndps", *words[1:], cwd=models, COLUMNS="200")
     assert plan.stdout.count("is there") == 2, plan.stderr
+
+
+def test_a_tanh_policy_is_exported_as_c(models, tmp_path):
+    done = otr_command("otr-export", "env=CartPole-v1", "model=tanh.zip", "format=c", f"out={tmp_path}", cwd=models)
+    assert done.returncode == 0, done.stderr
+    source = (tmp_path / "policy.c").read_text()
+    states = np.random.default_rng(0).normal(size=(10_000, 4))
+    theirs = PPO.load(models / "tanh.zip").predict(states, deterministic=True)[0]
+    answers = runner(compiled({"policy": source}, tmp_path), "policy", source)(states)
+    assert (answers != theirs).sum() <= 2  # ties within the rounding of torch's single precision
+    refused = otr_command("otr-export", "env=CartPole-v1", "model=tanh.zip", "format=text", cwd=models)
+    assert refused.returncode == 2 and "is written as the network that it is, by format=c" in refused.stderr
 
 
 def test_a_model_with_any_units_and_statistics_is_an_oracle(models):

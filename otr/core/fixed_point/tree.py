@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import FloatArray, IntArray, as_states, read_only
+from otr.core.fixed_point.tanh_table import TanhTable
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
-from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidTreeError
 

@@ -5,9 +5,11 @@
 
 import re
 from pathlib import Path
+from textwrap import fill
 
 import pandas as pd
 
+from pipelines.report.against_thesis import order_of_methods
 from pipelines.report.cells import TASK_NAMES, table_runs, with_pruned_trees
 from pipelines.report.frames import load_runs
 from pipelines.report.published import best_published
@@ -19,7 +21,7 @@ BLOCK = re.compile(r"(?s)(<!-- results -->\n).*(?=<!-- end -->)")
 
 
 def headline_table(results_dir: Path) -> str:
-    """Return the table as Markdown: the cells of Table 4.1, leaves after pruning and steps as means over their runs."""
+    """Return the cells of Table 4.1 as Markdown, with means of leaves and steps, and below them the order of methods."""
     every = load_runs(results_dir)
     runs = with_pruned_trees(table_runs(every), every)
     cells = make_cells(runs).query("table == '4.1'").set_index(["task", "method", "depth"])
@@ -32,7 +34,9 @@ def headline_table(results_dir: Path) -> str:
         steps = " and ".join(dict.fromkeys(f"{source['steps'].mean() / 1e6:g}M" for source in sources[1:]))
         texts = [*(spread(cell["mean"], cell["std"]) for cell in chosen), f"{best:,.{_decimals(best)}f}", leaves, steps]
         lines.append(f"| {TASK_NAMES[task]} | {' | '.join(texts)} |")
-    return "\n".join(lines)
+    ours, theirs = order_of_methods(cells.reset_index())
+    order = f"Mean normalised return (0 random, 1 the thesis's best), in order: ours {ours}; the thesis's {theirs}."
+    return "\n".join([*lines, "", fill(order, 120)])
 
 
 def _runs_of(runs: pd.DataFrame, task: str, method: str, depth: str, cell: "pd.Series[str]") -> pd.DataFrame:

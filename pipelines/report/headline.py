@@ -21,7 +21,7 @@ BLOCK = re.compile(r"(?s)(<!-- results -->\n).*(?=<!-- end -->)")
 
 
 def headline_table(results_dir: Path) -> str:
-    """Return the cells of Table 4.1 as Markdown, with means of leaves and steps, and below them the order of methods."""
+    """Return the cells of Table 4.1 as Markdown, with means of leaves and steps, then the order of methods."""
     every = load_runs(results_dir)
     runs = with_pruned_trees(table_runs(every), every)
     cells = make_cells(runs).query("table == '4.1'").set_index(["task", "method", "depth"])

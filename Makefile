@@ -76,7 +76,7 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 	@touch $@
 
 docs: .venv/.installed-docs  ## the documentation as a site, in site/
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -26,7 +26,7 @@ from pipelines.engine.store import write_json
 
 NAMES = (
     "mapping", "prediction", "evaluation", "training", "fleet", "search", "polish", "shrink", "sweeps", "supervised",
-    "control", "exact", "latency", "fixed_point", "tables",
+    "control", "exact", "latency", "fixed_point", "tables", "pendulum_optimum",
 )  # fmt: skip
 
 

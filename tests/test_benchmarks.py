@@ -6,12 +6,24 @@ import shutil
 from importlib import import_module
 from itertools import count
 
+import gymnasium
 import numpy as np
 import pandas as pd
 import pytest
 
 import otr
-from benchmarks import control, latency, mapping, polish, search, search_curves, supervised, tables, training
+from benchmarks import (
+    control,
+    latency,
+    mapping,
+    pendulum_optimum,
+    polish,
+    search,
+    search_curves,
+    supervised,
+    tables,
+    training,
+)
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -272,3 +284,19 @@ def test_trees_from_tables_are_compared_with_what_is_installed(monkeypatch, caps
 def test_the_page_has_the_committed_table():
     made = tables.markdown(json.loads((RESULTS / "benchmarks" / "tables.json").read_text()))
     assert f"<!-- table -->\n{made}\n<!-- end -->" in tables.PAGE.read_text()
+
+
+def test_the_pendulums_values_are_those_of_its_plant():
+    """One step costs what the state does; a torque that is always the same plays as gymnasium does."""
+    costs, starts = pendulum_optimum.value_iteration(48, 33, n_steps=40), pendulum_optimum.evaluation_starts(20)
+    angles, rates = np.meshgrid(np.arange(48) * np.pi / 24 - np.pi, np.linspace(-8, 8, 33), indexing="ij")
+    np.testing.assert_allclose(costs[1], angles**2 + 0.1 * rates**2, rtol=1e-5)
+    np.testing.assert_allclose(pendulum_optimum.interpolated(costs[1], angles + 4 * np.pi, rates), costs[1], atol=1e-4)
+    assert (np.diff(costs, axis=0) >= -1e-4).all()  # of more steps, more
+    best = pendulum_optimum.greedy_returns(costs, starts)
+    assert -pendulum_optimum.interpolated(costs[-1], *starts.T).mean() == pytest.approx(best.mean(), rel=0.03)
+    env = gymnasium.make("Pendulum-v1")
+    for seed, expected in zip(range(1000, 1003), pendulum_optimum.greedy_returns(costs, starts[:3], 1), strict=True):
+        env.reset(seed=seed)
+        played = sum(float(env.step(np.array([-2.0], np.float32))[1]) for _ in range(40))
+        assert played == pytest.approx(expected, rel=1e-6) and expected <= best[seed - 1000] + 1

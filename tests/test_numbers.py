@@ -87,6 +87,11 @@ def test_numbers_in_a_row_of_a_task_are_those_of_its_runs(page, column, runs):
         assert [number for number in told if not any(is_rounded(number, mean) for mean in means)] == [], cell
 
 
+def test_the_readme_has_the_order_of_methods_that_table_4_1_has():
+    order = re.search(r"best first: (.*)\n", (RESULTS / "tables/table_4_1.md").read_text())[1]
+    assert order in " ".join((ROOT / "README.md").read_text().split()), f"README: best first: {order}"
+
+
 def test_the_note_under_table_4_1_names_the_tasks_whose_actors_are_dense():
     cells = pd.read_csv(RESULTS / "tables/table_4_1.csv").query("table == '4.1' and method == 'otr'")
     found = {True: set(), False: set()}

@@ -7,11 +7,13 @@ from typing import Any
 import pandas as pd
 
 from pipelines.config.methods import METHODS
-from pipelines.report.published import Published, published
+from pipelines.report.published import Published, best_published, published
 from pipelines.report.statistics import mean_interval
+from pipelines.runs.below_random import random_returns
 
 CSV_COLUMNS = ("table", "task", "method", "depth", "mean", "std", "ci_low", "ci_high", "n_runs", "n_episodes", "budget",
                "trainer", "published_mean", "published_std", "note")  # fmt: skip
+LINES = {"ours": "ours", "thesis": "thesis"}  # of a row of a table, and the columns of cells that they show
 TASK_NAMES = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", "halfcheetah": "HalfCheetah",
               "ant": "Ant", "swimmer": "Swimmer", "bipedalwalker": "BipedalWalker", "pendulum": "Pendulum",
               "mountaincar": "MountainCar", "lunarlander": "LunarLander"}  # fmt: skip
@@ -155,6 +157,16 @@ def beside_the_thesis(cells: pd.DataFrame, keys: Iterable[tuple[str, str, str, s
         f"published_{name}": values for name, values in zip(Published._fields, zip(*found, strict=True), strict=True)
     }
     return cells.assign(n_runs=cells["n_runs"].fillna(0).astype(int), **columns, thesis=[str(each) for each in found])
+
+
+def normalised(tasks: pd.Series, returns: pd.Series) -> pd.Series:
+    """Return scores: 0 for the return of random actions, 1 for the best that the thesis gives for the task.
+
+    Linear between and beyond: a ratio of returns would be turned around where they are negative. NaN where the thesis
+    has none.
+    """
+    worst, best = (tasks.map(known).astype(float) for known in (random_returns(), best_published))
+    return (returns.astype(float) - worst) / (best - worst)
 
 
 def runs_text(cell: Any) -> str:

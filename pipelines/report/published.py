@@ -11,6 +11,9 @@ import math
 from importlib import resources
 from typing import NamedTuple
 
+TASKS_OF_3M = ("reacher", "swimmer", "bipedalwalker", "pendulum")
+TASKS_OF_4M = ("walker2d", "hopper", "halfcheetah", "ant")
+
 
 class Published(NamedTuple):
     """One published result; numbers keep the digits they were printed with, and "" stands for what was not given."""
@@ -31,6 +34,19 @@ def best_published(task: str) -> float:
     """Return the highest return that the thesis gives for a control task, by whatever method; NaN where it has none."""
     returns = [float(found.mean) for (table, of, _, _), found in published().items() if of == task and table != "4.2"]
     return max(returns, default=math.nan)
+
+
+def published_steps(task: str, method: str) -> float:
+    """Return the environment steps of OTR's trainings in Table 4.1 (section 4.1 there); it gives no others'."""
+    if method != "otr" or task not in TASKS_OF_3M + TASKS_OF_4M:
+        return math.nan
+    return 4e6 if task in TASKS_OF_4M else 3e6
+
+
+def published_elsewhere() -> list[dict[str, str]]:
+    """Return what others than the thesis have published of its tasks, a row a policy, as text."""
+    text = (resources.files("pipelines") / "published_elsewhere.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
 
 
 @functools.cache

@@ -8,12 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit  # scipy.stats takes longer to import than the tables take to write
+from scipy.special import stdtr, stdtrit  # scipy.stats takes longer to import than the tables take to write
 
 MIN_RUNS_FOR_INTERVAL = 5
 LEVEL = 0.95
 
+N_SAMPLES = 2000  # of a bootstrap
+
 Interval = tuple[float, float]
+Moments = tuple[float, float, float]
 NO_INTERVAL: Interval = (np.nan, np.nan)
 
 
@@ -69,6 +72,54 @@ def difference_interval(ours: ArrayLike, theirs: ArrayLike) -> Interval:
     return _students(difference, np.sqrt(sum(squares)), degrees)
 
 
+def welch_p_value(ours: Moments, theirs: Moments) -> float:
+    """Return Welch's two-sided p-value of two means of runs being equal, each from (mean, deviation, number of runs).
+
+    NaN where either has fewer than two runs or no deviation is known.
+    """
+    means, stds, numbers = np.array([ours, theirs], dtype=float).T
+    squares = stds**2 / numbers  # of the standard errors
+    if not (squares.sum() > 0 and numbers.min() > 1):
+        return np.nan
+    degrees = squares.sum() ** 2 / (squares**2 / (numbers - 1)).sum()
+    return float(2 * stdtr(degrees, -abs(means[0] - means[1]) / np.sqrt(squares.sum())))
+
+
+def holm(p_values: ArrayLike) -> np.ndarray:
+    """Return p-values (n,) corrected for their number (Holm 1979); NaN where there is none, which does not count."""
+    values = np.asarray(p_values, dtype=float)
+    order = np.argsort(values)[: np.sum(~np.isnan(values))]
+    corrected = np.full(len(values), np.nan)
+    corrected[order] = np.minimum(np.maximum.accumulate(values[order] * np.arange(len(order), 0, -1)), 1)
+    return corrected
+
+
+def resampled_runs(scores: Sequence[ArrayLike], n_samples: int = N_SAMPLES) -> list[np.ndarray]:
+    """Return bootstrap samples of runs, drawn within each task (stratified): (n_samples, n) for each of the tasks.
+
+    The same samples every time: of task i by seed i.
+    """
+    runs = [_known(task) for task in scores]
+    return [
+        task[np.random.default_rng(i).integers(len(task), size=(n_samples, len(task)))] for i, task in enumerate(runs)
+    ]
+
+
+def stratified_iqm(scores: Sequence[ArrayLike]) -> tuple[float, Interval]:
+    """Return the interquartile mean of all runs of all tasks and its 95 % interval (Agarwal et al. 2021).
+
+    Percentiles of the stratified bootstrap: about which runs were drawn, for these tasks.
+
+    Args:
+        scores: (n,) for each of one or more tasks, a normalised score a run.
+    """
+    drawn = np.sort(np.concatenate(resampled_runs(scores), axis=1), axis=1)
+    cut = drawn.shape[1] // 4
+    return interquartile_mean(np.concatenate([_known(task) for task in scores])), _percentiles(
+        drawn[:, cut : drawn.shape[1] - cut].mean(axis=1)
+    )
+
+
 def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
     """Return how often a run of ours is better than one of theirs, ties counting half: U / (n m) of Mann and Whitney.
 
@@ -114,6 +165,13 @@ def performance_profile(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> n
     return np.asarray(np.mean(shares, axis=0))
 
 
+def profile_band(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> np.ndarray:
+    """Return the 95 % band of `performance_profile` by the stratified bootstrap, (2, k), at each threshold alone."""
+    drawn, at = resampled_runs(scores), np.asarray(thresholds)
+    shares = np.mean([(task[:, :, None] > at).mean(axis=1) for task in drawn], axis=0)
+    return np.quantile(shares, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+
+
 class ResampledAreas:
     """Areas under the ROC curve on bootstrap samples of the test rows, the same samples for every method.
 
@@ -121,7 +179,7 @@ class ResampledAreas:
     seeds (percentiles of the paired bootstrap).
     """
 
-    def __init__(self, labels: ArrayLike, n_samples: int = 2000, groups: ArrayLike | None = None) -> None:
+    def __init__(self, labels: ArrayLike, n_samples: int = N_SAMPLES, groups: ArrayLike | None = None) -> None:
         """Draw the samples.
 
         Args:
@@ -165,8 +223,12 @@ class ResampledAreas:
     def difference(ours: np.ndarray, theirs: np.ndarray) -> tuple[float, Interval]:
         """Return the difference of two results of `of`, ours less theirs, and its 95 % interval over the samples."""
         differences = ours - theirs
-        low, high = np.quantile(differences[1:], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        return float(differences[0]), (float(low), float(high))
+        return float(differences[0]), _percentiles(differences[1:])
+
+
+def _percentiles(samples: np.ndarray) -> Interval:
+    low, high = np.quantile(samples, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(low), float(high)
 
 
 def _students(mean: float, error: float, degrees: float) -> Interval:

@@ -9,6 +9,14 @@ import numpy as np
 import pandas as pd
 
 from pipelines.config.methods import METHODS
+from pipelines.report.against_thesis import (
+    elsewhere,
+    mark_of,
+    order_of_methods,
+    pendulum_note,
+    verdict_counts,
+    with_marks,
+)
 from pipelines.report.cells import (
     CSV_COLUMNS,
     DECIMALS,
@@ -29,40 +37,57 @@ from pipelines.report.cells import (
     with_pruned_trees,
 )
 from pipelines.report.frames import load_runs
+from pipelines.report.published import published_steps
+from pipelines.report.sizes import SIZES, with_sizes
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
-from pipelines.report.text import latex_grid, markdown_cell, markdown_grid, markdown_table, page, write_tables
+from pipelines.report.text import latex_grid, latex_notes, markdown_grid, markdown_table, page, write_tables
 
 COLUMNS = (("linear", "0"), (ORACLE, ""), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"),
            ("otr", "6"), ("otr", "32"))  # fmt: skip
 HEAD = ["Task", "", *(METHOD_NAMES[method] + (f" ({depth})" if depth else "") for method, depth in COLUMNS)]
-TABLE = [(task, *column) for task in tuple(TASK_NAMES)[:8] for column in COLUMNS]  # in the thesis's order
+TASKS = tuple(TASK_NAMES)[:8]  # in the thesis's order
+TABLE = [(task, *column) for task in TASKS for column in COLUMNS]
 TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
         ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"), ("lunarlander", "augtree", "2"),
         ("pendulum", "pid", "1")]  # fmt: skip # what chapter 4 reports outside its tables
+# Of each task, below the table: the lines, and the columns of cells that they show.
+DETAILS = {
+    "runs": "runs", "steps": "total_steps_text", "steps, thesis": "published_steps_text",
+    "leaves": "leaves_text", "numbers, free": "free_numbers_text", "numbers, written": "written_numbers_text",
+}  # fmt: skip
+FURTHER_COLUMNS = [*SIZES, "published_steps", "p_value", "p_holm", "against_thesis", "imitates"]
 LEAST_CHANGE = 0.01  # of the return, from which on a pruned tree is listed in addition to the whole one
 
 
 def write_table_4_1(results_dir: Path) -> list[Path]:
     """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it."""
     every = load_runs(results_dir)
-    runs = pd.concat([table_runs(every), oracle_runs(every)])
+    runs = with_sizes(pd.concat([table_runs(every), oracle_runs(every)]), results_dir)
     cells = make_cells(runs)
     table = cells["table"] == "4.1"
     rows = {TASK_NAMES[task]: row for task, row in cells[table].groupby("task", sort=False)}
+    ours, theirs = order_of_methods(cells)
     markdown = page(
         "table_4_1.md",
-        table=markdown_grid(HEAD, rows),
+        table=markdown_grid(HEAD, rows, {"ours": "shown", "thesis": "thesis"}),
+        verdicts=verdict_counts(cells),
+        order=f"ours {ours or 'not run'}; the thesis's {theirs}",
+        pendulum=pendulum_note(results_dir, cells),
+        details=markdown_grid(HEAD, rows, DETAILS),
         provenance=markdown_table(_provenance(cells, runs), empty="Nothing of this table has been run yet."),
         beyond=markdown_table(_beyond(cells[~table])),
+        elsewhere=markdown_table(elsewhere()),
         pruned=markdown_table(_pruned(every), empty="Nothing has been run yet that pruning changes."),
         least_change=f"{100 * LEAST_CHANGE:.0f} %",
         variants=markdown_table(_variants(every), empty="No run of the table's tasks changes a setting."),
         others=_others(other_runs(every)),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
-    advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
-    frame = cells[list(CSV_COLUMNS)].round(DECIMALS)
-    return write_tables(results_dir, "table_4_1", frame, markdown, latex_grid(advice, markdown, HEAD, rows))
+    advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page. Costs and sizes follow."
+    tables = [latex_grid(HEAD, rows, lines) for lines in ({"ours": "shown", "thesis": "thesis"}, DETAILS)]
+    frame = cells[list(CSV_COLUMNS) + FURTHER_COLUMNS].round(DECIMALS)
+    latex = latex_notes(advice, markdown) + "\n".join(tables)
+    return write_tables(results_dir, "table_4_1", frame, markdown, latex)
 
 
 def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
@@ -71,12 +96,11 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     A cell is of one budget and trainer: the first with two runs or more in the order of `in_order`, else the first. Its
     `table` is 4.1, text or other.
     """
-    steps = runs["total_steps"].astype(float) if "total_steps" in runs else float("nan")
-    runs = runs.assign(total_steps=steps)
+    sizes = {name: (name, "mean") for name in SIZES if name in runs}
     found = in_order(summarise(
         runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
         most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),
-        oracle=("oracle.hidden_widths", "first"), total_steps=("total_steps", "mean"),
+        oracle=("oracle.hidden_widths", "first"), **sizes,
     ), SOURCE).sort_values("n_runs", key=lambda n: n == 1, kind="stable")  # fmt: skip
     rest = found.duplicated(KEY)
     text = {*found[KEY].itertuples(index=False, name=None), *TEXT} - {*TABLE}
@@ -92,8 +116,11 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     for cell in found[rest].itertuples():
         also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
-    cells["ours"], cells["runs"] = ([text(cell) for cell in cells.itertuples()] for text in (_ours, runs_text))
-    return cells
+    columns = {"ours": _ours, "runs": _runs, "imitates": _imitates}
+    cells = with_marks(cells.assign(**{name: list(map(text, cells.itertuples())) for name, text in columns.items()}))
+    cells["shown"] = [f"{cell.ours} {mark_of(cell)}".rstrip() for cell in cells.itertuples()]
+    cells["published_steps"] = list(map(published_steps, cells["task"], cells["method"]))
+    return cells.assign(**{f"{name}_text": cells[name].map(_short) for name in ("published_steps", *sizes)})
 
 
 def _notes(cell: Any, also: list[str]) -> Iterable[str]:
@@ -112,8 +139,6 @@ def _notes(cell: Any, also: list[str]) -> Iterable[str]:
     elif cell.pruned_depth >= 0 and (cell.table == "text" or cell.depth == "32"):
         theirs = cell.published_pruned_depth
         yield f"pruned depth {cell.pruned_depth:.1f}" + (f" (published {theirs})" if theirs else "")
-    if cell.method.endswith("-polished") and cell.total_steps >= 0:
-        yield f"polished by its oracle's critics: {cell.total_steps:,.0f} steps in all, the oracle's included"
     if cell.n_runs and cell.n_episodes != cell.most_episodes:
         yield f"episodes differ between runs: {cell.n_episodes:.0f} to {cell.most_episodes:.0f}"
     yield from also
@@ -121,7 +146,9 @@ def _notes(cell: Any, also: list[str]) -> Iterable[str]:
 
 def _provenance(cells: pd.DataFrame, runs: pd.DataFrame) -> list[list[str]]:
     """Return a head and a line for each task, budget and trainer in the cells: what was run, on what, for how long."""
-    lines = [["Task", "Budget", "Trainer", "Steps", "Algorithm", "Episodes", "Environment", "Gymnasium", "Runs"]]
+    lines = [
+        ["Task", "Budget", "Trainer", "Steps of training", "Algorithm", "Episodes", "Environment", "Gymnasium", "Runs"]
+    ]
     shown, by = in_order(runs.merge(cells[[*KEY, *SOURCE]]), ["task", *SOURCE]), ["task", *SOURCE]
     for (task, budget, trainer), group in shown.groupby(by, sort=False):
         steps = " or ".join(f"{number:,}" for number in sorted(set(group["steps"])))
@@ -135,26 +162,47 @@ def _provenance(cells: pd.DataFrame, runs: pd.DataFrame) -> list[list[str]]:
 
 
 def _ours(cell: Any) -> str:
-    """Return `mean ± std [pruned depth]`, the brackets at depth 32 only, as in the thesis; or "not run".
-
-    An oracle has its hidden layers in their place.
-    """
+    """Return `mean ± std [pruned depth]`, the brackets at depth 32 only, as in the thesis; or "not run"."""
     if not cell.n_runs:
         return "not run"
     decimals = 2 if cell.task == "reacher" else 1
     spread = f" ± {cell.std:.{decimals}f}" if cell.n_runs > 1 else ""
     pruned = f" [{cell.pruned_depth:.1f}]" if cell.depth == "32" and cell.pruned_depth >= 0 else ""
-    layers = f" of {cell.oracle.replace(',', ', ')}" if cell.method == ORACLE else ""
-    return f"{cell.mean:z.{decimals}f}{spread}{pruned}{layers}"
+    return f"{cell.mean:z.{decimals}f}{spread}{pruned}"
+
+
+def _imitates(cell: Any) -> str:
+    """Return the policy of the table whose runs a cell's trees imitate, which is then their oracle; else nothing."""
+    depth = str(cell.oracle).strip("[]")
+    is_imitator = cell.n_runs and cell.method != ORACLE and ("otr", depth) in COLUMNS
+    return f"{METHOD_NAMES['otr']} ({depth})" if is_imitator else ""
+
+
+def _runs(cell: Any) -> str:
+    """Return the runs of a cell, and the layers of its oracle, or of the oracle that it is."""
+    return runs_text(cell) + (f", of {cell.oracle.replace(',', ', ')}" if cell.n_runs and pd.notna(cell.oracle) else "")
+
+
+def _short(number: float) -> str:
+    """Return a number with three digits, such as 104M or 376k; nothing for NaN."""
+    if pd.isna(number):
+        return ""
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
+        if number >= 0.9995 * size:
+            shown = number / (1e3 if letter == "k" else size)
+            return f"{float(f'{shown:.3g}'):g}{letter}"
+    return f"{number:,.0f}"
 
 
 def _beyond(cells: pd.DataFrame) -> list[list[str]]:
     """Return a head and a line for each cell that is not in the table."""
-    lines = [["Task", "Method", "Depth", "Ours", "Thesis", "Note"]]
+    lines = [["Task", "Method", "Depth", "Ours", "Thesis", "Steps in all", "Leaves", "Free", "Written", "Note"]]
     for cell in cells.itertuples():
         name, method = TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method)
         note = cell.note.removeprefix("not run").removeprefix("; ")
-        lines.append([name, method, cell.depth, markdown_cell(cell), cell.thesis, note])
+        ours = f"{cell.ours} ({cell.runs})" if cell.runs else cell.ours
+        sizes = cell.total_steps_text, cell.leaves_text, cell.free_numbers_text, cell.written_numbers_text
+        lines.append([name, method, cell.depth, ours, cell.thesis, *sizes, note])
     return lines
 
 

@@ -15,11 +15,11 @@ import pandas as pd
 import otr
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.store import corrupt, exists, read_bytes, read_json
-from pipelines.report.cells import CSV_COLUMNS, DECIMALS, beside_the_thesis, summarise
+from pipelines.report.cells import CSV_COLUMNS, DECIMALS, LINES, beside_the_thesis, summarise
 from pipelines.report.figures.style import auc_against_leaves
 from pipelines.report.frames import load_fits
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, resplit_interval
-from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
+from pipelines.report.text import latex_grid, latex_notes, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
 LEARNERS = {"linear_tuned": "Linear (depth 0)", "linear_taught": "Linear (taught)", "cart": "CART",
@@ -56,7 +56,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
     ran = table[table["n_runs"] > 0]
     markdown = page(
         "table_4_2.md",
-        table=markdown_grid(HEAD, rows),
+        table=markdown_grid(HEAD, rows, LINES),
         seeds=_seeds(ran),
         left_out=_left_out(ran),
         details=markdown_table(_details(ran), empty="Nothing has been run yet."),
@@ -67,7 +67,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
         program=_sparse_program(results_dir),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
-    latex = latex_grid(r"\usepackage{booktabs}", markdown, HEAD, rows)
+    latex = latex_notes(r"\usepackage{booktabs}", markdown) + latex_grid(HEAD, rows, LINES)
     paths = write_tables(results_dir, "table_4_2", cells.reindex(columns=COLUMNS).round(DECIMALS), markdown, latex)
     return [*paths, *_write_figure(ran, results_dir), *_copy_tree_picture(results_dir)]
 
@@ -88,7 +88,7 @@ def make_cells(fits: pd.DataFrame) -> pd.DataFrame:
     cells = pd.DataFrame(CELLS, columns=["table", *KEY]).merge(found, "left", KEY)
     cells = beside_the_thesis(cells, (("4.2", task, method, "") for _, task, method in CELLS))
     cells["note"], cells["ours"] = ([text(cell) for cell in cells.itertuples()] for text in (_not_run, _ours))
-    return cells.assign(runs="")
+    return cells
 
 
 def _not_run(cell: Any) -> str:

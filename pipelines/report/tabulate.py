@@ -13,6 +13,7 @@ from pipelines.report.certificates import write_certificates
 from pipelines.report.comparisons import write_comparisons
 from pipelines.report.figures.figure_4_6 import budget_of_runs, write_figure_4_6
 from pipelines.report.figures.figure_4_7 import write_figure_4_7
+from pipelines.report.figures.numbers import write_numbers
 from pipelines.report.figures.performance_profile import write_performance_profile
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.table_4_1 import write_table_4_1
@@ -20,9 +21,9 @@ from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
 FIGURES_OF_A_BUDGET = ("4.6", "4.7")
-FIGURES = (*FIGURES_OF_A_BUDGET, "profile")
+FIGURES = (*FIGURES_OF_A_BUDGET, "profile", "numbers")
 FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.figures.run_figures` writes them
-ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "4.1")
+ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "numbers", "4.1")
 
 
 def reports_of(asked: str) -> tuple[str, ...]:
@@ -61,8 +62,8 @@ def write_report(
     if name in TABLES:
         return TABLES[name](results_dir)
     runs = load_runs(results_dir)
-    if name == "profile":
-        return write_performance_profile(results_dir, runs)
+    if name in ("profile", "numbers"):
+        return {"profile": write_performance_profile, "numbers": write_numbers}[name](results_dir, runs)
     budget = budget or budget_of_runs(runs)
     if name == "4.6":
         return write_figure_4_6(runs, budget, results_dir)

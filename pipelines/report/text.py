@@ -1,7 +1,7 @@
 """Tables and pages as files: Markdown, CSV and LaTeX. The text around the tables is in `pages`."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,8 @@ import pandas as pd
 
 from pipelines.engine.store import write_text
 from pipelines.errors import PipelineError
+
+SYMBOLS = {"±": "pm", "π": "pi", "↑": "uparrow", "↓": "downarrow", "○": "circ", "†": "dagger"}  # and LaTeX's names
 
 
 def write_tables(results_dir: Path, name: str, frame: pd.DataFrame, markdown: str, latex: str = "") -> list[Path]:
@@ -49,42 +51,46 @@ def markdown_table(lines: Sequence[Sequence[str]], empty: str = "") -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in padded)
 
 
-def markdown_cell(cell: Any) -> str:
-    """Return what is ours of a cell and its runs."""
-    return f"{cell.ours} ({cell.runs})" if cell.runs else str(cell.ours)
+def markdown_grid(head: Sequence[str], rows: Mapping[str, pd.DataFrame], lines: Mapping[str, str]) -> str:
+    """Return a table of several lines a row, as `grid` has them."""
+    return markdown_table([list(head), *([name, label, *texts] for name, label, texts in grid(rows, lines))])
 
 
-def markdown_grid(head: Sequence[str], rows: Mapping[str, pd.DataFrame]) -> str:
-    """Return a table of two lines a row, ours and the thesis's, which is left out where it has none of them."""
-    lines = [head]
-    for name, cells in rows.items():
-        lines.append([name, "ours", *map(markdown_cell, cells.itertuples())])
-        if (cells["thesis"] != "-").any():
-            lines.append(["", "thesis", *cells["thesis"]])
-    return markdown_table(lines)
+def latex_grid(head: Sequence[str], rows: Mapping[str, pd.DataFrame], lines: Mapping[str, str]) -> str:
+    """Return the same as a `tabular` (it needs booktabs)."""
+    text = [rf"\begin{{tabular}}{{ll{'r' * (len(head) - 2)}}}", r"\toprule", _latex_row(map(tex, head)), r"\midrule"]
+    for i, (name, label, texts) in enumerate(grid(rows, lines)):
+        text += [r"\addlinespace"] if name and i else []
+        text.append(_latex_row(map(tex, (name, label, *texts))))
+    return "\n".join([*text, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
-def latex_grid(advice: str, markdown: str, head: Sequence[str], rows: Mapping[str, pd.DataFrame]) -> str:
-    """Return the same as a `tabular` (it needs booktabs), the notes below the Markdown table as comments before it."""
+def latex_notes(advice: str, markdown: str) -> str:
+    """Return the notes below a page's first table as comments of LaTeX, the advice first."""
     notes = [advice, *re.findall(r"^\* (.*)", markdown.partition("\n## ")[0], re.M)]
-    lines = [*(f"% {note}" for note in notes), rf"\begin{{tabular}}{{ll{'r' * (len(head) - 2)}}}", r"\toprule"]
-    lines.append(_latex_row([tex(name) for name in head]))
-    for i, (name, cells) in enumerate(rows.items()):
-        lines.append(r"\addlinespace" if i else r"\midrule")
-        lines.append(_latex_row([tex(name), "ours", *map(tex, cells["ours"])]))
-        if cells["runs"].any():
-            lines.append(
-                _latex_row(["", "", *(rf"{{\scriptsize {tex(runs)}}}" if runs else "" for runs in cells["runs"])])
-            )
-        if (cells["thesis"] != "-").any():
-            lines.append(_latex_row(["", "thesis", *map(tex, cells["thesis"])]))
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+    return "\n".join(f"% {note}" for note in notes) + "\n"
+
+
+def grid(rows: Mapping[str, pd.DataFrame], lines: Mapping[str, str]) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield a row's name (on its first line alone), a line's label, and its texts, one a cell.
+
+    Args:
+        rows: the cells of each row, by its name.
+        lines: the column of cells that a line shows, by its label; a line after the first is left out where it has
+            nothing but empty texts and dashes.
+    """
+    for name, cells in rows.items():
+        shown = {label: list(cells[column]) for label, column in lines.items()}
+        for i, (label, texts) in enumerate(shown.items()):
+            if not i or not {*texts} <= {"", "-"}:
+                yield "" if i else name, label, texts
 
 
 def tex(text: str) -> str:
-    """Return plain text as LaTeX: special characters escaped, a minus sign before a number, ± and π as mathematics."""
+    """Return plain text as LaTeX: special characters escaped, a minus sign before a number, symbols as mathematics."""
     text = re.sub(r"([&%$#_{}])", r"\\\1", text)
-    return re.sub(r"(?<!\w)-(?=\d)", "$-$", text).replace("±", r"$\pm$").replace("π", r"$\pi$")
+    text = re.sub(r"(?<!\w)-(?=\d)", "$-$", text)
+    return "".join(f"$\\{SYMBOLS[each]}$" if each in SYMBOLS else each for each in text)
 
 
 def _latex_row(texts: Iterable[str]) -> str:

@@ -1,12 +1,11 @@
-"""The performance profile: the share of a method's runs above a normalised score, over the tasks that it was run on.
+"""All tasks of Table 4.1 at once: interquartile means with intervals, and performance profiles with bands.
 
-Lines are of the columns of Table 4.1 that have runs of at least three tasks. Their runs are those of the cells that the
-table's page shows: the table's own, and those of its methods and depths on the tasks beyond it.
+Both are of the table's columns, of the runs in its cells, under scores of one scale (Agarwal et al. 2021). Intervals
+and bands are of the stratified bootstrap over runs.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,25 +16,25 @@ import pandas as pd
 import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
-from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, table_runs
-from pipelines.report.figures.style import COLOURS, DASHES, SMALL, figure_of_panels, legend_line, set_legend
-from pipelines.report.published import best_published
-from pipelines.report.statistics import performance_profile
+from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, normalised, table_runs
+from pipelines.report.figures.style import COLOURS, DASHES, MARKERS, figure_of_panels, legend_line, set_legend
+from pipelines.report.statistics import performance_profile, profile_band, stratified_iqm
 from pipelines.report.table_4_1 import COLUMNS as COLUMNS_OF_TABLE
-from pipelines.report.table_4_1 import make_cells
+from pipelines.report.table_4_1 import TASKS, make_cells
 from pipelines.report.text import csv_text, write_file
-from pipelines.runs.below_random import random_returns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POLICIES = pd.DataFrame(COLUMNS_OF_TABLE, columns=KEY[1:])
 MIN_TASKS = 3
-COLUMNS = ["method", "depth", "n_runs", "n_tasks", "tasks", "threshold", "share"]
+OF_POLICY = ["method", "depth", "n_runs", "n_tasks", "tasks"]
+COLUMNS = [*OF_POLICY, "threshold", "share", "share_low", "share_high"]
+COLUMNS_OF_MEANS = [*OF_POLICY, "iqm", "ci_low", "ci_high"]
 
 
 def write_performance_profile(results_dir: Path, runs: pd.DataFrame) -> list[Path]:
-    """Write `performance_profile.csv`, a row for each step of each line, and the picture under `results_dir/figures`.
+    """Write `performance_profile.csv`, a row for each step of each line, `interquartile_means.csv` and the picture.
 
     Args:
         results_dir: the folder that holds `runs`.
@@ -44,70 +43,82 @@ def write_performance_profile(results_dir: Path, runs: pd.DataFrame) -> list[Pat
     Raises:
         MissingInputError: no method has runs of enough tasks; names the command.
     """
-    lines = profiles(scored_runs(runs))
+    means, lines = of_policies(scored_runs(runs))
     if lines.empty:
         raise MissingInputError(
             f"{results_dir}: no method of Table 4.1 has been run on {MIN_TASKS} tasks.\n"
             f"Run: {command_text('otr-run', ['+experiment=table_4_1'], results_dir)}"
         )
-    path = write_file(results_dir / "figures" / "performance_profile.csv", csv_text(lines.round(DECIMALS)))
-    otr.save_picture(draw_profiles(lines), path.with_suffix(".png"))
-    return [path, path.with_suffix(".png")]
+    texts = {"performance_profile": lines, "interquartile_means": means}
+    paths = [
+        write_file(results_dir / "figures" / f"{name}.csv", csv_text(frame.round(DECIMALS)))
+        for name, frame in texts.items()
+    ]
+    otr.save_picture(draw_profiles(means, lines), paths[0].with_suffix(".png"))
+    return [*paths, paths[0].with_suffix(".png")]
 
 
 def scored_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs that the lines are made of, with their `score`.
-
-    It is 0 for the return of random actions and 1 for the best return that the thesis gives for the task, by whatever
-    method, and linear between and beyond: a ratio of returns would be turned around where they are negative.
-    """
+    """Return the runs that the figure is made of, with their `score`, as `normalised` has it."""
     own = table_runs(runs)
     cells = make_cells(own)
-    own = own.merge(cells.loc[cells["table"] != "other", [*KEY, *SOURCE]]).merge(POLICIES)
-    worst, best = own["task"].map(random_returns()), own["task"].map(best_published)
-    scores = (own["return_mean"].astype(float) - worst) / (best - worst)
-    own = own.assign(score=scores.round(DECIMALS))
-    return own[own["score"].notna()]
+    own = own.merge(cells.loc[cells["table"] == "4.1", [*KEY, *SOURCE]]).merge(POLICIES)
+    return own.assign(score=normalised(own["task"], own["return_mean"]).round(DECIMALS))
 
 
-def profiles(scored: pd.DataFrame) -> pd.DataFrame:
-    """Return the steps of the lines, a row a method and threshold: the ends of the axis and the scores between them."""
+def of_policies(scored: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the interquartile means, a row a policy, and the steps of the profiles, a row a policy and threshold.
+
+    Thresholds are the ends of the axis and the scores between them.
+    """
     if scored.empty:
-        return pd.DataFrame(columns=COLUMNS)
+        return pd.DataFrame(columns=COLUMNS_OF_MEANS), pd.DataFrame(columns=COLUMNS)
     ends = [(math.ceil(10 * scored["score"].min()) - 1) / 10, math.ceil(10 * scored["score"].max()) / 10]
-    lines = []
+    means, lines = [], []
     for method, depth in COLUMNS_OF_TABLE:
         own = scored[(scored["method"] == method) & (scored["depth"] == depth)]
-        tasks = [task for task in TASK_NAMES if task in set(own["task"])]
+        tasks = [task for task in TASKS if task in set(own["task"])]
         if len(tasks) < MIN_TASKS:
             continue
+        of_tasks = [own.loc[own["task"] == task, "score"] for task in tasks]
+        policy = dict(zip(OF_POLICY, (method, depth, len(own), len(tasks), " ".join(tasks)), strict=True))
+        mean, (low, high) = stratified_iqm(of_tasks)
+        means.append(policy | {"iqm": mean, "ci_low": low, "ci_high": high})
         thresholds = np.unique([*ends, *own["score"]])
-        shares = performance_profile([own.loc[own["task"] == task, "score"] for task in tasks], thresholds)
-        line = pd.DataFrame({"threshold": thresholds, "share": shares})
-        lines.append(
-            line.assign(method=method, depth=depth, n_runs=len(own), n_tasks=len(tasks), tasks=" ".join(tasks))
-        )
-    return pd.concat(lines)[COLUMNS] if lines else pd.DataFrame(columns=COLUMNS)
+        shares = [performance_profile(of_tasks, thresholds), *profile_band(of_tasks, thresholds)]
+        steps = dict(zip(COLUMNS[len(OF_POLICY) :], (thresholds, *shares), strict=True))
+        lines.append(pd.DataFrame(policy | steps))
+    return pd.DataFrame(means, columns=COLUMNS_OF_MEANS), pd.concat(lines) if lines else pd.DataFrame(columns=COLUMNS)
 
 
-def draw_profiles(lines: pd.DataFrame) -> Figure:
-    """Return a figure of the lines, as `profiles` returns them, in their order; the legend says of how many runs."""
-    axes = ("score: 0 for random actions, 1 for the best published", "share of runs above it")
-    policies = lines.groupby(["method", "depth"], sort=False)
-    figure, (panel,) = figure_of_panels(
-        pd.DataFrame({"panel": [""]}), 1, 1.7, axes, math.ceil(policies.ngroups / 2) + 1
+def draw_profiles(means: pd.DataFrame, lines: pd.DataFrame) -> Figure:
+    """Return a figure of what `of_policies` returns: the means to the left, in their order, best first, the lines."""
+    score = "score: 0 for random actions, 1 for the thesis's best"
+    titles = ["Interquartile mean, 95 % interval", "Share of runs above a score, 95 % band"]
+    figure, (left, right) = figure_of_panels(
+        pd.DataFrame({"panel": titles}), 2, 2.4, (score, ""), 2, share=(False, False)
     )
-    handles = []
+    policies = list(lines.groupby(["method", "depth"], sort=False))
     # Every other line is dashed and lies above the solid ones, so that two that fall together are both seen.
-    styles = zip(COLOURS, itertools.cycle(((DASHES, 3), ("-", 2))), strict=False)
-    for ((method, depth), line), (colour, (dashes, zorder)) in zip(policies, styles, strict=False):
-        style: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.4, "zorder": zorder}
-        panel.step(line["threshold"], line["share"], where="post", **style)
-        n_runs, n_tasks = line["n_runs"].iloc[0], line["n_tasks"].iloc[0]
-        text = f"{METHOD_NAMES[method]} ({depth}): {n_runs} runs, {n_tasks} of {len(TASK_NAMES)} tasks"
-        handles.append(legend_line(text, **style))
-    panel.margins(x=0, y=0.03)
-    title = "Share of runs above a score, mean over the tasks that a method was run on\n"
-    figure.suptitle(f"{title}(tasks that were not run are left out, so lines are over different tasks)", fontsize=SMALL)
-    set_legend(figure, handles, 2)
+    styles: dict[Any, dict[str, Any]] = {
+        policy: {"color": colour, "linestyle": (DASHES, "-")[i % 2], "zorder": 3 - i % 2, "linewidth": 1.2,
+                 "marker": marker, "markersize": size - 0.5, "markeredgecolor": "white", "markeredgewidth": 0.5}
+        for i, ((policy, _), colour, (marker, size)) in enumerate(zip(policies, COLOURS, MARKERS, strict=False))
+    }  # fmt: skip
+    names = []
+    for place, mean in enumerate(means.sort_values("iqm").itertuples()):
+        style = styles[mean.method, mean.depth]
+        left.plot([mean.ci_low, mean.ci_high], [place, place], color=style["color"], linewidth=2)
+        left.plot([mean.iqm], [place], **{**style, "markersize": 6})
+        tasks = "" if mean.n_tasks == len(TASKS) else f", {mean.n_tasks} tasks"
+        names.append(f"{METHOD_NAMES[str(mean.method)]} ({mean.depth}), {mean.n_runs} runs{tasks}")
+    left.set_yticks(range(len(names)), names)
+    for i, (policy, line) in enumerate(policies):
+        style = styles[policy]
+        right.step(line["threshold"], line["share"], where="post", markevery=(2 + i, 7), **style)
+        right.fill_between(line["threshold"], line["share_low"], line["share_high"], step="post", alpha=0.13,
+                           linewidth=0, color=style["color"])  # fmt: skip
+    right.margins(x=0, y=0.03)
+    handles = [legend_line(f"{METHOD_NAMES[method]} ({depth})", **style) for (method, depth), style in styles.items()]
+    set_legend(figure, handles, 7)
     return figure

@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 
 from pipelines.cli.runs import run_config
-from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import TASK_NAMES
-from pipelines.report.figures.performance_profile import draw_profiles, random_returns, write_performance_profile
+from pipelines.report.figures.performance_profile import draw_profiles, write_performance_profile
 from pipelines.report.frames import load_runs
 from pipelines.report.published import best_published
+from pipelines.runs.below_random import random_returns
 from tests.pipelines.report.conftest import write_run
 
 
@@ -26,20 +26,22 @@ def test_random_actions_are_worse_than_what_is_published_in_every_task() -> None
         assert row["env_id"] == run_config([f"env={row['task']}"]).env.id
 
 
-def test_the_legend_says_how_many_runs_and_tasks(tmp_path: Path) -> None:
-    tasks = ("pendulum", "swimmer", "mountaincar")
-    for i, task in enumerate(tasks):
-        if i == 2:
+def test_methods_of_three_tasks_are_drawn_over_the_tables_tasks(tmp_path: Path) -> None:
+    for i, task in enumerate(("pendulum", "mountaincar", "swimmer", "reacher")):
+        if i == 3:
             with pytest.raises(MissingInputError, match=r"on 3 tasks\.\nRun: otr-run \+experiment=table_4_1"):
                 write_performance_profile(tmp_path, load_runs(tmp_path))
         least = random_returns()[task]
         for seed, score in enumerate((0.5, 0.75)):
             reached = least + score * (best_published(task) - least)
             write_run(tmp_path, f"{task}/viper/depth-6/quick/seed-{seed}", reached)
-    table, picture = write_performance_profile(tmp_path, load_runs(tmp_path))
+    profile, means, picture = write_performance_profile(tmp_path, load_runs(tmp_path))
     assert picture.name == "performance_profile.png" and picture.is_file()
-    lines = pd.DataFrame(read_csv(table)).astype({"n_runs": int, "n_tasks": int, "threshold": float, "share": float})
-    figure = draw_profiles(lines)
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["VIPER (6): 6 runs, 3 of 10 tasks"]
-    (line,) = figure.axes[0].lines
+    (mean,) = pd.read_csv(means).to_dict("records")
+    assert (mean["tasks"], mean["iqm"]) == ("reacher swimmer pendulum", 0.625)
+    assert 0.5 <= mean["ci_low"] < 0.625 < mean["ci_high"] <= 0.75
+    figure = draw_profiles(pd.read_csv(means), pd.read_csv(profile))
+    left, right = figure.axes
+    assert [label.get_text() for label in left.get_yticklabels()] == ["VIPER (6), 6 runs, 3 tasks"]
+    (line,) = right.lines
     assert line.get_drawstyle() == "steps-post" and list(line.get_ydata()) == [1.0, 0.5, 0.0, 0.0]

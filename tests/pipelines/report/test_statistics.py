@@ -8,12 +8,16 @@ from sklearn.metrics import roc_auc_score
 from pipelines.report.statistics import (
     ResampledAreas,
     difference_interval,
+    holm,
     interquartile_mean,
     mean_interval,
     paired_difference,
     performance_profile,
     probability_of_improvement,
+    profile_band,
     resplit_interval,
+    stratified_iqm,
+    welch_p_value,
 )
 
 
@@ -52,6 +56,29 @@ def test_a_difference_of_runs_is_welchs():
     assert (low, high) == pytest.approx((-1.0 - half, -1.0 + half))
     assert np.isnan(difference_interval(ours[:4], theirs)).all()
     assert difference_interval([2.0] * 5, [1.0] * 5) == (1.0, 1.0)
+
+
+def test_p_values_are_welchs_and_holms():
+    ours, theirs = (4062.5, 205.7, 5), (4829.4, 338.9, 10)
+    expected = stats.ttest_ind_from_stats(*ours, *theirs, equal_var=False).pvalue
+    assert welch_p_value(ours, theirs) == pytest.approx(expected) and expected < 0.001
+    assert np.isnan([welch_p_value((1.0, np.nan, 1), theirs), welch_p_value((1.0, 0.0, 3), (2.0, 0.0, 3))]).all()
+    assert holm([0.01, np.nan, 0.04, 0.03]) == pytest.approx([0.03, np.nan, 0.06, 0.06], nan_ok=True)
+    assert holm([0.5, 0.9]).tolist() == [1.0, 1.0]
+
+
+def test_the_bootstrap_draws_runs_within_tasks():
+    assert stratified_iqm([[0.0, 0.0], [1.0] * 6]) == (1.0, (1.0, 1.0))  # two runs of eight are cut off at either end
+    scores = [np.linspace(0, 1, 9), np.linspace(1, 2, 5)]
+    mean, (low, high) = stratified_iqm(scores)
+    drawn = np.random.default_rng(5)
+    means = [
+        interquartile_mean(np.concatenate([drawn.choice(each, len(each)) for each in scores])) for _ in range(4000)
+    ]
+    assert (low, high) == pytest.approx(np.quantile(means, [0.025, 0.975]), abs=0.02) and low < mean < high
+    thresholds = [-1.0, 0.45, 3.0]
+    band, share = profile_band(scores, thresholds), performance_profile(scores, thresholds)
+    assert band[:, [0, 2]].tolist() == [[1.0, 0.0], [1.0, 0.0]] and band[0, 1] < share[1] < band[1, 1]
 
 
 def test_pairing_takes_out_what_a_start_is_worth():

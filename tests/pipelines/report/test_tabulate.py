@@ -20,7 +20,10 @@ def test_words_stand_for_reports_and_those_there_are_are_listed_for_others() -> 
     for words, message in (
         ("table=4.11", rf"table=4\.11 is not known\. Did you mean table=4\.1\? {tables}"),
         ("table=x", rf"table=x is not known\. {tables}"),
-        ("figure=4.5", r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, profile, curves, leaves, regions$"),
+        (
+            "figure=4.5",
+            r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, profile, numbers, curves, leaves, regions$",
+        ),
         ("certificats", r"certificats is not known\. Did you mean certificates\? Known reports: all"),
     ):
         with pytest.raises(ConfigError, match=message):

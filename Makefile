@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help run test test-all test-oldest lint smoke bench report reproduce-table pack format clean
+.PHONY: help run test test-all test-oldest lint smoke bench docs report reproduce-table pack format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -71,6 +71,13 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 	$(BIN)/otr-fit +experiment=smoke launcher=joblib results_dir=results/smoke
 	$(BIN)/otr-tabulate 4.1 4.2 4.6 4.7 runs fits budget=smoke results_dir=results/smoke > /dev/null
 
+.venv/.installed-docs: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
+
+docs: .venv/.installed-docs  ## the documentation as a site, in site/
+	$(BIN)/mkdocs build --strict --quiet
+
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -93,4 +100,4 @@ pack: .venv/.installed  ## pack the runs and fits under results, an archive each
 	$(BIN)/python -m pipelines.cli.pack results
 
 clean:  ## remove the virtual environment and caches; results stay
-	rm -rf .venv .venv-oldest .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-oldest site .mypy_cache .ruff_cache .pytest_cache .hypothesis

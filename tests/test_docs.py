@@ -1,4 +1,4 @@
-"""What the documentation names exists: files and folders, and the names of `otr` and `pipelines`."""
+"""What the documentation names exists: files, folders, names of `otr` and `pipelines`; the site has every page."""
 
 import ast
 import re
@@ -7,6 +7,8 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+import otr
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("benchmarks/*.md")])
@@ -60,3 +62,15 @@ def test_what_is_named_exists(file):
         assert [link for link in links if not (file.parent / link).exists()] == []
     names = {re.sub(r"\.(py|md|yaml|json|toml|csv)$", "", name) for name in NAME.findall(text)}
     assert [name for name in sorted(names) if not exists(name)] == []
+
+
+def test_the_api_reference_has_every_public_name_once():
+    named = re.findall(r"^::: otr\.([\w.]+)$", (ROOT / "docs/api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    learners = [f"learners.{otr.learners._MODULES[name]}.{name}" for name in otr.learners.__all__]
+    assert sorted(named) == sorted([*otr.__all__, *learners])
+
+
+def test_the_site_leads_to_every_page():
+    nav = re.findall(r": ([\w/.-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    pages = [page.relative_to(ROOT / "docs").as_posix() for page in ROOT.glob("docs/**/*.md")]
+    assert sorted(page for page in nav if not page.startswith("repository/")) == sorted([*pages, "index.md"])

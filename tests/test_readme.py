@@ -1,6 +1,7 @@
-"""README's Python does what it says: every block is run, in one folder with a saved model."""
+"""README does what it says: its Python is run, in one folder with a saved model, and its table is that of the runs."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,10 @@ import torch
 from stable_baselines3 import DQN, PPO, SAC
 
 import otr
+from pipelines.report.headline import headline_table
+from pipelines.report.verdicts import verdicts
+from tests.committed import RESULTS
+from tests.pipelines.conftest import otr_succeeds
 
 README = Path(__file__).parents[1] / "README.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
@@ -41,13 +46,34 @@ def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     shown, text = capsys.readouterr().out.split("\n", 1)
     program, why = text.split("\nleaf ")
     assert shown == "Rollout(return 500 ± 0 over 100 episodes, 50,000 steps)"
-    tree, net, played = names["tree"], names["net"], names["played"]
-    assert 1 < tree.n_leaves < otr.map_network(net).n_leaves
-    np.testing.assert_array_equal(tree.predict(played.states), net.predict(played.states))
+    policy, exact, played = names["policy"], names["exact"], names["played"]
+    assert 1 < exact.n_leaves < otr.map_network(policy).n_leaves
+    np.testing.assert_array_equal(exact.predict(played.states), policy.predict(played.states))
     read = otr.parse_program(program, ["x", "v", "angle", "spin"], output_names=["left", "right"], labels=True)
-    assert (read.predict(played.states) == played.actions).mean() > 0.99  # its numbers have four digits
-    assert "\nnearest state of another label, " in why and "  decisions\n" in why
+    states = played.states  # its numbers have four digits
+    assert (read.predict(states) == names["tree"].predict(states)).mean() > 0.99
+    assert "\nnearest state of another label, " in why
     assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]
+
+
+@pytest.mark.slow
+def test_the_commands_of_your_zip_run(folder: Path) -> None:
+    text = README.read_text(encoding="utf-8").partition("## Your zip")[2]
+    lines = re.findall(r"^otr-.*$", text.split("```")[1], flags=re.MULTILINE)
+    assert len(lines) == 4
+    (folder / "policy.zip").write_bytes((folder / "model.zip").read_bytes())
+    for program, *words in (shlex.split(line, comments=True) for line in lines):
+        runs = [path.parent.as_posix() for path in folder.glob("results/runs/CartPole-v1/model/**/summary.json")]
+        otr_succeeds(
+            program, *(word.replace("FOLDER", *runs) if "FOLDER" in word else word for word in words), cwd=folder
+        )
+    assert "double" in (folder / "policy.c").read_text() and "<html" in (folder / "policy.html").read_text()[:200]
+
+
+def test_tables_are_those_of_the_committed_runs() -> None:
+    assert headline_table(RESULTS) in README.read_text(encoding="utf-8"), "run python -m pipelines.report.headline"
+    findings = (RESULTS.parent / "docs/findings.md").read_text(encoding="utf-8")
+    assert verdicts(RESULTS) in findings, "run python -m pipelines.report.verdicts"
 
 
 MODELS = {

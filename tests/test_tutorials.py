@@ -1,0 +1,74 @@
+"""The tutorials do what they say: their Python and their commands are executed, in order, in one folder a page."""
+
+import json
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+
+import otr
+from tests.pipelines.conftest import otr_succeeds
+
+DOCS = Path(__file__).parents[1] / "docs"
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+torch.set_num_threads(1)
+
+
+def execute(page: Path, folder: Path) -> dict:
+    """Execute a page's blocks: Python with the names of the blocks before, commands in the folder; return the names."""
+    names: dict = {}
+    for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if language == "python":
+            exec(compile(block, str(page), "exec"), names)
+            continue
+        for line in block.splitlines():
+            program, *words = shlex.split(line, comments=True)
+            if program.startswith("otr-"):
+                otr_succeeds(program, *words, cwd=folder)
+            elif shutil.which(program):
+                subprocess.run([program, *words], cwd=folder, check=True)
+    return names
+
+
+def test_from_a_zip_to_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = execute(DOCS / "tutorial.md", tmp_path)
+    net, better, played = names["net"], names["better"], names["played"]
+    assert names["full"].n_leaves == 128 > names["tree"].n_leaves
+    before, after = (otr.evaluate("CartPole-v1", each).mean_return for each in (net, better))
+    assert after > before and after > 400
+    assert (names["tree"].predict(played.states) == better.predict(played.states)).all()
+    assert names["proof"].max_error < 1e-9 and names["short"].n_leaves <= 4
+    assert (tmp_path / "policy.html").stat().st_size > 10_000 and "return" in (tmp_path / "policy.c").read_text()
+
+
+def test_from_a_csv_to_a_tree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = execute(DOCS / "tutorial-data.md", tmp_path)
+    X, y = names["X"][450:], names["y"][450:]
+    assert names["one"].score(X, y) > max(0.97, names["many"].score(X, y))
+    assert names["one"].tree_.n_leaves < names["many"].tree_.n_leaves
+    assert "width" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["tutorial", "tutorial-data"])
+def test_the_notebook_is_the_page(name: str) -> None:
+    """So what the page does is what the notebook does; links and commands are written as notebooks need them."""
+    make = runpy.run_path(str(DOCS / "notebooks/make.py"))
+    text = (DOCS / f"notebooks/{name}.ipynb").read_text(encoding="utf-8")
+    assert text == make["notebook"](DOCS / f"{name}.md"), "run python docs/notebooks/make.py"
+    cells = json.loads(text)["cells"]
+    code = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
+    assert re.sub("^!", "", code, flags=re.MULTILINE) == "\n".join(
+        block.rstrip("\n") for _, block in BLOCK.findall((DOCS / f"{name}.md").read_text(encoding="utf-8"))
+    )
+    assert [link for cell in cells for link in re.findall(r"\]\(([^)#:]+)", cell["source"])
+            if not (DOCS / "notebooks" / link).exists()] == []  # fmt: skip

@@ -43,6 +43,7 @@ from otr.proof.label_cells import near_cell
 from otr.proof.verify import NEGLIGIBLE, Checker, bits, rows_of
 
 _MANY_INPUTS = 128  # of which the sides are never rows
+_LARGE = 1e100
 _INWARDS = 1e-3  # of the way from a corner of a cell to its middle
 _SHARES = (1.0, 0.5, 0.2, 0.0)  # of max_error, by which a side of a test may count that is left out, in this order
 
@@ -127,7 +128,7 @@ class _Certification:
         if tree.labels is not None:
             self.allowed_share = max_error / 2
         elif max_error:
-            self.allowed[: network.n_hidden] = max_error / np.maximum(network.gains(), np.finfo(np.float64).tiny)
+            self.allowed[: network.n_hidden] = min(max_error, _LARGE) / np.maximum(network.gains(), 1 / _LARGE)
 
     def reached(self) -> str:
         """Return the progress of the search, as text."""
@@ -180,8 +181,8 @@ class _Certification:
         by_leaf: dict[int, list[Cell]] = {}
         for block in self.walk.run(start):
             # Labels are compared in wide regions: those of a sliver may differ where the network's tie.
-            is_wide = block.radii > (0 if self.pair.tree.labels is None else 2 * float(self.max_error))
-            self._check_answers(self.pair.domain.unscaled(block.centres[is_wide]))
+            wide = block.radii > (0 if self.pair.tree.labels is None else 2 * float(self.max_error))
+            self._check_answers(self.pair.domain.unscaled(block.centres[wide]))
             has_labels = self.pair.tree.labels is not None
             found, n_solved = cells_of(block, names, start.rows.n_rows, self.pair.domain, has_labels)
             self.n_programs += n_solved

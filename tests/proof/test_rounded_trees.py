@@ -114,3 +114,13 @@ def test_gains_are_what_an_output_changes_by_with_an_activation() -> None:
     of_last = np.abs(W3[:, 3:5])
     of_first = np.abs(W3[:, :3]) + of_last @ np.abs(W2[:, :3])
     assert np.allclose(network.gains(), np.concatenate((of_first.max(axis=0), of_last.max(axis=0))), rtol=1e-15)
+
+
+def test_a_neuron_that_no_output_reads_splits_no_leaf() -> None:
+    network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 0.0]]], [[0.0, 0.5], [0.0]])
+    tree = otr.parse_program("if x <= 0: 0 else: x", ["x"])
+    for max_error in (1e-6, 10.0):
+        certificate = otr.certify(tree, network, BOX, max_error=max_error)
+        assert [cell.splits for cell in certificate.cells] == [(), ()] and certificate.max_error == 0
+    with pytest.raises(otr.CertificateError, match="not the same function"):
+        otr.certify(tree.replace(v=np.array([20.0])), network, (-30.0, 30.0), max_error=10.0)

@@ -164,7 +164,7 @@ class _Certification:
             shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
             cells += self._cells_of_thin_leaf(leaf, shown)
         start = start_of_walk(leaves, rows, signs, balls)
-        for share in _SHARES:
+        for share in _SHARES if self.pair.tree.labels is None else (_SHARES[0], _SHARES[-1]):
             if not len(start.origin):
                 break
             self.walk.thin, self.walk.thin_share = share * self.allowed, share * self.allowed_share
@@ -247,7 +247,7 @@ class _Certification:
             sharp, states = with_smallest_bounds(self.pair, cell)
             of_sharp = self.checker.error(sharp)
             cell, error = (sharp, of_sharp) if of_sharp < error else (cell, error)
-            if error > self.max_error and not has_labels:
+            if error > self.max_error and len(states) and not has_labels:
                 self._check_answers(states + _INWARDS * (states.mean(axis=0, keepdims=True) - states))
         return cell if self._keep(cell.leaf, error) else None
 

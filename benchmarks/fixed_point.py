@@ -5,8 +5,8 @@ over the environment's box of states or, where that is open or too wide for the 
 episodes of the floats. The proof is
 that of `otr.certify_fixed_point` on the tree: the largest error of an action as a share of its range, at every real
 state of the box but for those within a distance of the tree's tests. Integers and floats play the same 20 starts. Bytes
-and cycles of a call are those of `benchmarks/microcontrollers.py`, on 1,000 states of the box; beside them plain float
-C of the same policy, its network where it has one, else its tree. The table is results/tables/fixed_point.md.
+and cycles of a call are those of `benchmarks/microcontrollers.py`, on 1,000 states of the box, compared with plain
+float C of the same policy, its network where it has one, else its tree. The table is results/tables/fixed_point.md.
 
 Target: an error of at most 1 % of the range.
 """

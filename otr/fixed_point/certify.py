@@ -80,6 +80,7 @@ def certify_fixed_point(
 
 
 def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | ObliqueTree:
+    """Return the policy that a tree is compared with; one of another kind, size or head is an error."""
     if isinstance(network, PatternTree):
         if network.is_restricted:
             raise ValueError(

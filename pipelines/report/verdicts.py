@@ -1,4 +1,4 @@
-"""The verdicts of docs/findings.md: on which control tasks a tree is ahead of linear policies, by one rule.
+"""The verdicts of docs/findings.md: on which control tasks a tree returns more than linear policies, by one rule.
 
 `python -m pipelines.report.verdicts` writes them between the page's two marks.
 """

@@ -31,7 +31,7 @@ class TanhTable:
 
     @property
     def last(self) -> int:
-        """The largest |r| that is told from larger ones."""
+        """The largest |r| that the table distinguishes from larger ones."""
         return int(self.values.shape[1] - 1) << self.step_bits
 
     def __call__(self, r: IntArray) -> IntArray:

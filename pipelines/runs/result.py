@@ -38,7 +38,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvCon
             "the network is the trained policy, whose observations are clipped there"
         )
     if "oracle" in summary:
-        lines.append(_likeness(summary["oracle"]))
+        lines.append(likeness(summary["oracle"]))
     if "polish" in summary:
         lines.append(_polished(summary["polish"]))
     if "total_steps" in summary:
@@ -80,7 +80,7 @@ def _fewer_answers(program: str, n_leaves: int) -> list[str]:
     ]
 
 
-def _likeness(oracle: dict[str, Any]) -> str:
+def likeness(oracle: dict[str, Any]) -> str:
     """Return how similar the tree is to the oracle, as text."""
     if "equal_labels" in oracle:
         like = f"chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"

@@ -21,6 +21,7 @@ class ReportConfig:
     run: list[FreeText] = field(default_factory=list)  # none for all of results_dir
     tree: FreeText | None = None  # the polished one where that gained, else the pruned
     out: FreeText | None = None
+    gallery: FreeText | None = None  # a folder
     results_dir: Folder = field(default_factory=results_folder)
     debug: bool = False
 
@@ -28,15 +29,20 @@ class ReportConfig:
         check_settings(self)
 
 
-OWN = ("run", "tree", "out", "results_dir", "debug")
+OF_PAGE = ("run", "tree", "out", "gallery")
+OWN = (*OF_PAGE, "results_dir", "debug")
 
 
 def do(arguments: argparse.Namespace) -> int:
-    """Write the page of all results, of the runs that are named, or of the run that other overrides ask for."""
+    """Write the page of all results, of the runs that are named, or of the run that other overrides ask for.
+
+    With a gallery, its pages and their index.
+    """
+    from pipelines.report.webpage.gallery import write_gallery
     from pipelines.report.webpage.page import write_results_page, write_run_page  # imports pandas
 
     own = [override for override in arguments.overrides if key_of(override) in OWN]
-    of_run = [override for override in arguments.overrides if key_of(override) not in ("run", "tree", "out")]
+    of_run = [override for override in arguments.overrides if key_of(override) not in OF_PAGE]
     cfg: ReportConfig = settings_of(ReportConfig, own)
     if cfg.tree is not None and cfg.tree not in TREES[:5]:
         raise ConfigError(f"tree={cfg.tree}: the page shows {', '.join(TREES[:5])}")
@@ -48,10 +54,15 @@ def do(arguments: argparse.Namespace) -> int:
     folders = [_done(RUN, of_run)] if is_of_run else [find_run(run, cfg.results_dir) for run in cfg.run]
     if not folders and cfg.tree is not None:
         raise ConfigError(f"tree={cfg.tree}: of which run? Add run=FOLDER")
+    config_of = functools.cache(functools.partial(load_config, n_workers=1))
+    if cfg.gallery:
+        if folders or cfg.out:
+            raise ConfigError(f"gallery={cfg.gallery}: it chooses its runs and files; leave the other settings out")
+        print(f"{write_gallery(results_dir, Path(cfg.gallery), config_of)}: open it in any browser")
+        return 0
     out = Path(cfg.out) if cfg.out else (folders[0] if len(folders) == 1 else results_dir) / "page.html"
     if out.is_dir():
         out /= "page.html"
-    config_of = functools.cache(functools.partial(load_config, n_workers=1))
     if folders:
         path = write_run_page(folders, cfg.tree, out, config_of)
     else:

@@ -19,14 +19,21 @@ from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
 from pipelines.play.video import renderable, rendered
 
-MOST_STEPS = 500  # that are kept; of a longer episode every second, third, ... step
+MOST_STEPS = 500  # that are kept, as a rule; of a longer episode every second, third, ... step
 LEVELS = 255  # of a quantised state, between its least and its greatest value: finer than a chart shows
 COLUMNS = 10  # of frames in a sprite
 QUALITY = 30  # of a sprite (WebP), of 100
 
 
 def record(
-    tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, length: int, n_frames: int, width: int
+    tree: otr.ObliqueTree,
+    env: EnvConfig,
+    seed: int,
+    *,
+    length: int,
+    n_frames: int,
+    width: int,
+    most_steps: int = MOST_STEPS,
 ) -> dict[str, Any]:
     """Play the episode that starts from `reset(seed)` and return it as JSON-able data.
 
@@ -36,13 +43,14 @@ def record(
         n_frames: frames, at most; 0 for none. An environment that cannot be rendered here has none, and `no_frames`
             says why.
         width: of a frame, in pixels.
+        most_steps: that are kept.
 
     Returns:
         `states` (k, d) quantised as `packed` holds them, `leaves` (k,) and `answers` (k,) or (k, a) of every
         `stride`-th step; the `sprite` with the frames of every `frame_stride`-th of these; the return and the number of
         all steps.
     """
-    stride = -(-length // MOST_STEPS)
+    stride = -(-length // most_steps)
     kept = -(-length // stride)
     frame_stride = max(1, math.ceil(kept / n_frames)) if n_frames else 0
     states: list[NDArray[Any]] = []

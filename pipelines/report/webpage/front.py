@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from pipelines.report.cells import METHOD_NAMES, TASK_NAMES
 from pipelines.report.figures.learning_curves import STEPS, load_curves
 
 BAR_WIDTH, BAR_HEIGHT = 96, 14
+MOST_SHOWN = 12  # policies of a list; a longer one scrolls
 
 
 def cell_table(caption: str, head: Sequence[str], rows: Mapping[str, pd.DataFrame], policies: Mapping[Any, str]) -> str:
@@ -31,17 +33,52 @@ def cell_table(caption: str, head: Sequence[str], rows: Mapping[str, pd.DataFram
         scale = _scale(cells)
         tds = "".join(_td(cell, scale, policies) for cell in cells.itertuples())
         lines.append(f"<tr><th scope=row>{escape(name)}</th>{tds}</tr>")
-    heads = "".join(f"<th scope=col><button type=button>{escape(name)}</button></th>" for name in head)
-    return (
-        f"<figure class=scroll><table><caption class=quiet>{escape(caption)}</caption><thead><tr>{heads}</tr></thead>"
-        f"<tbody>{''.join(lines)}</tbody></table></figure>"
-    )
+    return _table(caption, head, "".join(lines))
 
 
 def plain_table(caption: str, head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return a table of texts that sorts."""
-    heads = "".join(f"<th scope=col><button type=button>{escape(name)}</button></th>" for name in head)
     rows = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in line)}</tr>" for line in lines)
+    return _table(caption, head, rows)
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A policy in the list of a page: its names and data, and its id on that page or the file that shows it."""
+
+    group: str
+    name: str
+    data: Mapping[str, Any]
+    key: str = ""
+    file: str = ""
+    picture: str = ""  # a file
+
+
+def policy_table(policies: Sequence[Listed]) -> str:
+    """Return the list of policies: a table that sorts, by whose links one is chosen."""
+    rows = []
+    for each in policies:
+        verdict = each.data["verdict"]
+        value, text = verdict["return"] or ("", "not evaluated")
+        link = f'href="{escape(each.file)}"' if each.file else f'href="#view" data-policy="{escape(each.key)}"'
+        shown = f'<img src="{escape(each.picture)}" alt="an episode" loading=lazy><br>' if each.picture else ""
+        cells = [
+            f"<td>{escape(each.group)}</td><th scope=row><a {link}>{shown}{escape(each.name)}</a></th>",
+            f'<td data-value="{value}">{text}</td>',
+            *(f'<td data-value="{verdict[size]}">{verdict[size]:,}</td>' for size in ("n_leaves", "n_numbers")),
+            f"<td>{'yes' if verdict['proof'] else 'no'}</td>",
+        ]
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["Environment", "Policy", "Return", "Leaves", "Numbers", "Proved"]
+    table = _table("Return: mean ± deviation over the evaluation episodes", head, "".join(rows))
+    kind = "list long" if len(policies) > MOST_SHOWN else "list"
+    return (
+        f'<h2>The policies</h2><div class="{kind}" role=region aria-label="list of policies" tabindex=0>{table}</div>'
+    )
+
+
+def _table(caption: str, head: Sequence[str], rows: str) -> str:
+    heads = "".join(f"<th scope=col><button type=button>{escape(name)}</button></th>" for name in head)
     return (
         f"<figure class=scroll><table><caption class=quiet>{escape(caption)}</caption><thead><tr>{heads}</tr></thead>"
         f"<tbody>{rows}</tbody></table></figure>"

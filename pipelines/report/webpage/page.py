@@ -28,11 +28,13 @@ from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_r
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
-from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
-from pipelines.report.webpage.policy import policy_data
+from pipelines.report.webpage.front import Listed, cell_table, figures_data, name_of_cell, plain_table, policy_table
+from pipelines.report.webpage.policy import Detail, policy_data
 
 VENDOR = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js")
-SCRIPTS = (*VENDOR, "tree.js", "nearest.js", "drawing.js", "why.js", "view.js", "page.js")
+SCRIPTS = (
+    *VENDOR, "tree.js", "nearest.js", "drawing.js", "chart.js", "verdict.js", "why.js", "view.js", "page.js",
+)  # fmt: skip
 STYLES = ("vendor/uPlot.min.css", "page.css")
 FORMS = {"tree": "pruned", "polished": "polished"}  # of a policy in the tables: the tree that the page shows
 FIGURES = {
@@ -41,16 +43,6 @@ FIGURES = {
     "seconds": "Return against seconds of training, an imitator's oracle apart, mean over runs",
 }
 PARTS = {"table-4-1": "Control", "table-4-2": "Molecules", "proofs": "What is proved", "figures": "Figures"}
-
-
-@dataclass(frozen=True)
-class Detail:
-    """How much of each policy a page holds: see `policy_data`."""
-
-    n_frames: int
-    frame_width: int
-    export_bytes: int
-    tree_bytes: int | None
 
 
 OF_ONE = Detail(n_frames=120, frame_width=240, export_bytes=200_000, tree_bytes=None)
@@ -73,7 +65,7 @@ class Policies:
     """What a page holds of its policies: by id the compressed data, the list to choose from, and why others lack."""
 
     blocks: dict[str, str]
-    choices: list[tuple[str, str, str]]
+    choices: list[Listed]
     left_out: list[str]
 
 
@@ -95,9 +87,15 @@ def write_run_page(
         name = f"{config.method.name}, depth {_depth(config)}, seed {config.seed}"
         shown.append(Shown(name, config.env.name, folder, form or last))
     detail = OF_ONE if len(shown) == 1 else OF_MANY
-    title = f"{shown[0].group}: {shown[0].name}" if len(shown) == 1 else f"{len(shown)} policies"
-    head = "<p>A policy as a decision tree: move the state, play the episode, copy the program. Made by otr.</p>"
-    return _write(out, title, head, "", _policies(shown, detail, out, load_config), {})
+    title = run_title(folders[0]) if len(shown) == 1 else f"{len(shown)} policies"
+    return write_page(out, title, "", "", policies_of(shown, detail, out, load_config), {})
+
+
+def run_title(folder: Path) -> str:
+    """Return a page's title: the file that a run's policy was read from and its environment, else the run."""
+    summary = read_summary(folder)
+    file = Path(str(summary.get("model") or summary.get("program") or "")).name
+    return f"{file} in {summary['env']}" if file else "/".join(folder.parts[-5:])
 
 
 def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path], RunConfig]) -> Path:
@@ -116,7 +114,7 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     if not shown and fits.empty:
         folders = [results_dir / "runs" / run for run in dict.fromkeys(runs["run"])]
         return write_run_page(folders, None, out, load_config)
-    policies = _policies(shown, OF_MANY, out, load_config)
+    policies = policies_of(shown, OF_MANY, out, load_config)
     tables = [_table_4_1(cells, {cell: key for cell, key in of_cells.items() if key in policies.blocks})]
     if len(fits):
         tables.append(_table_4_2(fits))
@@ -138,7 +136,7 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
         "(Orfanos 2023). Every number is read from the runs next to this page; what was not run says so.</p>"
         f'<nav>{links}<a href="#policies">Policies</a></nav>'
     )
-    return _write(out, "otr: policies as programs", head, front, policies, figures)
+    return write_page(out, "otr: policies as programs", head, front, policies, figures)
 
 
 def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path) -> tuple[list[Shown], dict[Any, str]]:
@@ -199,23 +197,27 @@ def _table_4_2(fits: pd.DataFrame) -> str:
     )
 
 
-def _policies(shown: Sequence[Shown], detail: Detail, out: Path, load_config: Callable[[Path], RunConfig]) -> Policies:
+def policies_of(
+    shown: Sequence[Shown], detail: Detail, out: Path, load_config: Callable[[Path], RunConfig]
+) -> Policies:
     """Return the policies of a page; one that cannot be shown is left out, and the page and the terminal say why."""
     policies = Policies({}, [], [])
     n_so_named = Counter((each.group, each.name) for each in shown)
     progress = progress_lines("page", "policies")
     for i, each in enumerate(shown):
         try:
-            data = policy_data(load_config(each.folder), each.folder, each.form, **vars(detail))
+            data = policy_data(load_config(each.folder), each.folder, each.form, detail)
         except PipelineError as error:
             policies.left_out.append(f"{each.group}, {each.name}: {error}")
             continue
-        folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
+        folder = (
+            Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix() if detail.links_run else ""
+        )
         digest = "".join(each.folder.name.partition("~")[1:])  # of the settings in which it is not as the others
         name = f"{each.name} {digest}".strip() if n_so_named[each.group, each.name] > 1 else each.name
         data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder}
         policies.blocks[f"policy-{i}"] = _stored(f"policy-{i}", data, "policy")
-        policies.choices.append((f"policy-{i}", each.group, name))
+        policies.choices.append(Listed(each.group, name, data, key=f"policy-{i}"))
         progress(i + 1, len(shown))
     if not policies.blocks:
         raise PipelineError("\n".join(policies.left_out))
@@ -224,34 +226,21 @@ def _policies(shown: Sequence[Shown], detail: Detail, out: Path, load_config: Ca
     return policies
 
 
-def _write(out: Path, title: str, head: str, front: str, policies: Policies, figures: dict[str, Any]) -> Path:
+def write_page(out: Path, title: str, head: str, front: str, policies: Policies, figures: dict[str, Any]) -> Path:
     blocks = [*policies.blocks.values(), *([_stored("figures-data", figures, "figures")] if figures else [])]
     left_out = ""
     if policies.left_out:
         lines = "".join(f"<li>{escape(line)}</li>" for line in policies.left_out)
         summary = f"<summary>Left out: {len(policies.left_out)}</summary>"
         left_out = f"<details class=quiet>{summary}<ul>{lines}</ul></details>"
+    choice = policy_table(policies.choices) if len(policies.choices) > 1 else ""
     parts = {
-        "title": escape(title), "head": head, "front": front, "choice": _choice(policies.choices),
-        "left_out": left_out, "foot": f"Written by otr {otr.__version__}.",
+        "title": escape(title), "head": head, "front": front,
+        "choice": choice, "left_out": left_out, "foot": f"Written by otr {otr.__version__}.",
         "style": _assets(STYLES), "script": _assets(SCRIPTS), "data": "\n".join(blocks),
     }  # fmt: skip
     template = (resources.files("pipelines.report.webpage") / "assets" / "page.html").read_text(encoding="utf-8")
     return write_file(out, Template(template).substitute(parts))
-
-
-def _choice(choices: Sequence[tuple[str, str, str]]) -> str:
-    """Return the list from which a policy is chosen; nothing where there is one."""
-    if len(choices) < 2:
-        return ""
-    groups = dict.fromkeys(group for _, group, _ in choices)
-    options = "".join(
-        f'<optgroup label="{escape(group)}">'
-        + "".join(f'<option value="{key}">{escape(name)}</option>' for key, of, name in choices if of == group)
-        + "</optgroup>"
-        for group in groups
-    )
-    return f"<h2>The policies</h2><p><label for=choice>Policy </label><select id=choice>{options}</select></p>"
 
 
 def _stored(key: str, data: Any, kind: str) -> str:

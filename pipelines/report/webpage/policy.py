@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from otr.control.label_leaves import decided_leaves
 from otr.programs.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
+from otr.shorten.edits import n_numbers
 from pipelines.config.run import RunConfig
 from pipelines.engine.command_text import command_text
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
@@ -21,10 +23,11 @@ from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
 from pipelines.play.episodes import play_seeds
 from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
-from pipelines.report.webpage.episode import packed, record
+from pipelines.report.webpage.episode import MOST_STEPS, packed, record
 from pipelines.report.webpage.physical_units import unit_of
-from pipelines.runs.finished_run import results_of, title_of, tree_of
-from pipelines.runs.result import proof_line
+from pipelines.report.webpage.verdict import returns_of, verdict
+from pipelines.runs.finished_run import results_of, tree_of
+from pipelines.runs.questions import number_of
 
 EXPORTS: dict[str, Callable[..., str]] = {
     "C": otr.to_c,
@@ -33,20 +36,31 @@ EXPORTS: dict[str, Callable[..., str]] = {
 }
 WIDEST_LIMITS = 1e3  # limits of a state beyond these say nothing: the range is that of visited states
 MARGIN = 0.1  # of the range of visited states, beyond it on either side
-LONGEST_PROGRAM = 64  # leaves; a longer one is not readable; the exports have it
+MOST_LEAVES, LONGEST_PROGRAM = 64, 100_000  # of a program, and its letters; a longer one is not readable
 VISIBLE = 1e-4  # of the largest answer: a page writes three digits
 
 
-def policy_data(
-    run: RunConfig,
-    folder: Path,
-    form: str,
-    *,
-    n_frames: int,
-    frame_width: int,
-    export_bytes: int,
-    tree_bytes: int | None,
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Detail:
+    """How much of a policy a page holds.
+
+    Attributes:
+        n_frames, frame_width, n_steps: of the episode; see `record`.
+        export_bytes: a longer program in C and the like is left out, and the page names the command that writes it.
+        tree_bytes: most that a tree's numbers may take as float32, in which they are then held where that changes no
+            leaf and no visible answer on visited states; None for any tree, in float64.
+        links_run: whether the page links to the run's folder.
+    """
+
+    n_frames: int
+    frame_width: int
+    export_bytes: int
+    tree_bytes: int | None
+    n_steps: int = MOST_STEPS
+    links_run: bool = True
+
+
+def policy_data(run: RunConfig, folder: Path, form: str, detail: Detail) -> dict[str, Any]:
     """Return what a page shows of one of a run's trees, as JSON-able data.
 
     Sibling leaves with one answer are merged and leaves are numbered as programs print them: see `page_tree`.
@@ -54,20 +68,17 @@ def policy_data(
     Args:
         run, folder: the run.
         form: of its trees, as `tree_of` names them.
-        n_frames, frame_width: of the episode's pictures; see `record`.
-        export_bytes: a longer program is left out, and the page names the command that writes it.
-        tree_bytes: most that a tree's numbers may take as float32, in which they are then held where that changes no
-            leaf and no visible answer on visited states; None for any tree, in float64.
+        detail: how much of it.
 
     Raises:
         PipelineError: the tree is not there, is held as activation patterns, or is larger.
     """
     tree = page_tree(run, folder, form)
     n_numbers = sum(array.size for array in _numbers(tree).values())
-    if tree_bytes is not None and 4 * n_numbers > tree_bytes:
+    if detail.tree_bytes is not None and 4 * n_numbers > detail.tree_bytes:
         raise PipelineError(
             f"its {tree.n_leaves:,} leaves would take {4e-6 * n_numbers:.1f} MB of a page, on which a policy has "
-            f"{1e-6 * tree_bytes:g}; {command_for('otr-report', folder, form)} writes its page"
+            f"{1e-6 * detail.tree_bytes:g}; {command_for('otr-report', folder, form)} writes its page"
         )
     env, space = run.env, spaces(run.env)
     names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
@@ -78,27 +89,34 @@ def policy_data(
     programs = {
         language: written
         for language, write in EXPORTS.items()
-        if 2 * n_numbers <= export_bytes  # which no program's text undercuts
-        and len(written := write(tree, feature_names=names, output_names=answers)) <= export_bytes
+        if 2 * n_numbers <= detail.export_bytes  # which no program's text undercuts
+        and len(written := write(tree, feature_names=names, output_names=answers)) <= detail.export_bytes
     }
     return {
-        "title": title_of(run, form),
         "env": env.name,
         "form": form,
         "features": _features(run, names, visited),
         "answers": answers,
         **_importance(tree, visited, answers),
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
-        "tree": tree_data(tree, visited, "<f4" if tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"),
-        "episode": record(tree, env, seed, length=length, n_frames=n_frames, width=frame_width),
-        "program": otr.to_text(tree, feature_names=names, output_names=answers)
-        if tree.n_leaves <= LONGEST_PROGRAM
-        else "",
+        "tree": tree_data(
+            tree, visited, "<f4" if detail.tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"
+        ),
+        "episode": record(
+            tree,
+            env,
+            seed,
+            length=length,
+            n_frames=detail.n_frames,
+            width=detail.frame_width,
+            most_steps=detail.n_steps,
+        ),
+        "texts": _texts(run, folder, form, tree),
         "exports": programs,
         "left_out": [language for language in EXPORTS if language not in programs],
         "export_command": command_for("otr-export", folder, form, "format=NAME"),
         "page_command": command_for("otr-report", folder, form),
-        "proof": _proof(folder, form),
+        "verdict": verdict(run, folder, form, tree),
     }
 
 
@@ -124,15 +142,23 @@ def _rounds_unseen(tree: otr.ObliqueTree, states: NDArray[Any]) -> bool:
     return is_near and np.array_equal(near.apply(states), tree.apply(states))
 
 
-def _proof(folder: Path, form: str) -> str:
-    """Return what the run's certificate says, and that it is of the minimal tree; nothing where there is none."""
-    summary = read_summary(folder)
-    if not summary.get("certify", {}).get("certified"):
-        return ""
-    text = proof_line(summary["certify"])
-    if "polish" in summary and summary["certify"].get("policy") != "polished":
-        text += ". It is of the network before the polish"
-    return text if form == "minimal" else f"{text}. The tree above is the {form} one."
+def _texts(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> list[list[str]]:
+    """Return titles and programs, the shortest first: the simplified tree's where the run has one, and the tree's."""
+    features, answers = feature_names(run.env, tree.n_inputs), action_names(run.env, tree.n_answers)
+    summary, trees = read_summary(folder), {form: tree}
+    if "simplify" in summary and form != "simplified":
+        trees["simplified"] = page_tree(run, folder, "simplified")
+    programs = []
+    for each, shown in sorted(trees.items(), key=lambda item: n_numbers(item[1])):
+        size = f"{number_of(shown.n_leaves, 'leaf')}, {n_numbers(shown):,} numbers"
+        returns = returns_of(summary, each)
+        title = f"{each} tree: {size}{f', returns {returns}' if returns else ''}"
+        if shown.n_leaves > MOST_LEAVES:
+            continue
+        text = otr.to_text(shown, feature_names=features, output_names=answers)
+        if len(text) <= LONGEST_PROGRAM:
+            programs.append([title, text])
+    return programs
 
 
 def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:

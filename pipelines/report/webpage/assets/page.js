@@ -17,6 +17,10 @@ async function showPolicy(id) {
   otr.view?.close();
   otr.view = new PolicyView(container, data);
   container.removeAttribute("aria-busy");
+  for (const link of document.querySelectorAll(".list a[data-policy]")) {
+    if (link.dataset.policy === id) link.setAttribute("aria-current", "true");
+    else link.removeAttribute("aria-current");
+  }
 }
 
 function sortBy(header) {
@@ -36,47 +40,35 @@ function sortBy(header) {
   body.append(...[...body.rows].sort(compared));
 }
 
+/** Show one environment's lines of a figure: the eight that rise highest at once, any others from the legend. */
 function lines(container, figures) {
   const names = Object.keys(figures);
   const size = (name) => figures[name].series.reduce((sum, { points }) => sum + Math.min(points.length, 20), 0);
   const first = names.reduce((best, name) => (size(name) > size(best) ? name : best)); // there is most to see
   const options = names.map((name) => element("option", { selected: name === first }, name));
   const select = element("select", { "aria-label": "environment" }, ...options);
-  const place = element("div");
-  let chart = null;
-  const ink = getComputedStyle(document.body).color;
+  const [place, note] = [element("div"), element("p", { class: "quiet" })];
   const draw = () => {
-    chart?.destroy();
     const { x, y, series, log } = figures[select.value];
-    const colour = (i) => ["#0072b2", "#d55e00", "#009e73", "#b0568a", "#b87f00", "#3d8fc0", "#7a7000", "#888888"][i % 8];
-    const data = uPlot.join(series.map(({ points }) => [points.map(([at]) => at), points.map(([, value]) => value)]));
-    const axis = { stroke: ink, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884" } };
-    chart = new uPlot({
-      width: Math.min(900, Math.max(280, container.clientWidth)), height: 280,
-      scales: { x: { time: false, distr: log ? 3 : 1 } },
-      axes: [{ ...axis, label: x }, { ...axis, label: y, size: 70 }],
-      series: [{ label: x }, ...series.map(({ label, points }, i) => ({ label, stroke: colour(i), width: 1.5, dash: i < 8 ? [] : [5, 3], spanGaps: true, points: { show: points.length < 20, size: 6 } }))],
-    }, data, place);
-    chart.root.setAttribute("role", "img");
-    chart.root.setAttribute("aria-label", `${select.value}: ${y} against ${x} of ${series.map(({ label }) => label).join("; ")}`);
+    const top = ({ points }) => Math.max(...points.map(([, value]) => value));
+    const sorted = [...series].sort((a, b) => top(b) - top(a));
+    const [at, ...values] = uPlot.join(sorted.map(({ points }) => [points.map(([where]) => where), points.map(([, value]) => value)]));
+    place.replaceChildren();
+    addChart(place, { x, y, log, height: 300, spans: true }, at, sorted.map(({ label }, i) => ({ label, values: values[i], show: i < MOST_LINES })));
+    note.textContent = series.length > MOST_LINES ? `Of ${series.length} lines the eight that rise highest are drawn; a click in the legend adds or takes away one.` : "";
   };
   select.addEventListener("change", draw);
-  container.replaceChildren(select, place);
+  container.replaceChildren(select, place, note);
   draw();
 }
 
 async function start() {
   for (const button of document.querySelectorAll("th button")) button.addEventListener("click", () => sortBy(button.parentElement));
-  const choice = document.getElementById("choice");
   for (const link of document.querySelectorAll("a[data-policy]")) {
-    link.addEventListener("click", () => {
-      choice.value = link.dataset.policy;
-      otr.ready = showPolicy(choice.value);
-    });
+    link.addEventListener("click", () => (otr.ready = showPolicy(link.dataset.policy)));
   }
-  choice?.addEventListener("change", () => (otr.ready = showPolicy(choice.value)));
   window.addEventListener("resize", () => otr.view?.resize());
-  const first = choice?.value ?? document.querySelector("script.policy")?.id;
+  const first = document.querySelector("script.policy")?.id;
   if (first) await showPolicy(first);
   if (document.getElementById("figures-data")) {
     const figures = await stored("figures-data");

@@ -107,26 +107,39 @@ function digits(value) {
   return size >= 1e4 || size < 1e-3 ? value.toExponential(1) : String(Number(value.toPrecision(3)));
 }
 
-/** Return the terms of a node's test, the largest over the ranges of its inputs first. */
-function termsOf(tree, node, features) {
-  const terms = [];
-  for (let j = 0; j < tree.nInputs; j++) {
-    const weight = tree.P[node * tree.nInputs + j];
-    if (weight !== 0) terms.push({ weight, name: features[j].name, size: Math.abs(weight) * (features[j].high - features[j].low) });
-  }
-  return terms.sort((a, b) => b.size - a.size);
+/** Return the terms of a row of weights, the largest over the ranges of its inputs first. */
+function termsOf(row, features) {
+  return features.map(({ name, low, high }, j) => ({ weight: row[j], name, size: Math.abs(row[j]) * (high - low) }))
+    .filter(({ weight }) => weight !== 0).sort((a, b) => b.size - a.size);
+}
+
+/** Return a sum in words, a term each: its largest terms, how many more there are, and the constant. */
+function sumTexts(row, constant, features, most = Infinity) {
+  const terms = termsOf(row, features);
+  const signed = (number, text, first) => `${number < 0 ? (first ? "−" : "− ") : first ? "" : "+ "}${text}`;
+  const texts = terms.slice(0, most).map(({ weight, name }, i) => signed(weight, Math.abs(weight) === 1 ? name : `${digits(Math.abs(weight))} ${name}`, !i));
+  if (terms.length > most) texts.push(`+ ${terms.length - most} more`);
+  if (constant !== 0 || !texts.length) texts.push(signed(constant, digits(Math.abs(constant)), !texts.length));
+  return texts;
+}
+
+/** Return a node's test as a list of terms, the last with the comparison. */
+function testTexts(tree, node, features, most = Infinity) {
+  const texts = sumTexts(tree.P.subarray(node * tree.nInputs, (node + 1) * tree.nInputs), tree.v[node], features, most);
+  return [...texts.slice(0, -1), `${texts.at(-1)} ≤ 0`];
 }
 
 /** Return a node's test in words, with its largest terms alone where there are more. */
-function testText(tree, node, features, most = Infinity) {
-  const terms = termsOf(tree, node, features);
-  let text = "";
-  for (const { weight, name } of terms.slice(0, most)) {
-    text += text ? (weight < 0 ? " − " : " + ") : weight < 0 ? "−" : "";
-    text += Math.abs(weight) === 1 ? name : `${digits(Math.abs(weight))} ${name}`;
-  }
-  if (terms.length > most) text += " + …";
-  const v = tree.v[node];
-  if (v !== 0 || !text) text += text ? ` ${v < 0 ? "−" : "+"} ${digits(Math.abs(v))}` : digits(v);
-  return `${text} ≤ 0`;
+function testText(tree, node, features, most = Infinity) { return testTexts(tree, node, features, most).join(" "); }
+
+/** Return what a leaf does as a list of texts, one an output: a label, or sums. */
+function leafTexts(tree, leaf, features, { answers, outputs }, most = Infinity) {
+  if (tree.labels) return [answers[tree.labels[leaf]]];
+  return Array.from({ length: tree.nOutputs }, (_, o) => {
+    const at = leaf * tree.nOutputs + o;
+    return `${outputs[o]} = ${sumTexts(tree.M.subarray(at * tree.nInputs, (at + 1) * tree.nInputs), tree.c[at], features, most).join(" ")}`;
+  });
 }
+
+/** Return what a leaf does in words. */
+function leafText(tree, leaf, features, data) { return leafTexts(tree, leaf, features, data).join("; "); }

@@ -45,27 +45,29 @@ class PolicyView {
     this.charts = [];
     this.actionBox = element("div", { class: "action", "aria-live": "polite" });
     this.pathList = element("ol", { class: "path" });
-    this.treeBox = element("div", { class: "tree" });
+    this.treeBox = element("div", { class: "tree", tabindex: 0, role: "region", "aria-label": "the tree" });
+    this.chosenBox = element("p", { class: "quiet", "aria-live": "polite" });
     [this.sumsBox, this.nearestBox] = [element("div"), element("div")];
-    container.replaceChildren(
-      element("p", { class: "quiet" }, data.about),
-      element("div", { class: "view" },
-        element("section", { class: "panel", "aria-label": "state" }, element("h3", {}, "The state, and what the policy does"),
-          this.actionBox, this.sliders(), element("p", { class: "quiet" },
-            "Ranges are the environment's, or a tenth beyond what was visited where it has none.",
-            ...(this.tree.isRounded ? [" The tree's numbers are rounded to seven digits: in visited states it takes the same leaves, and actions differ by less than 1/10,000 of the largest. ",
-              element("code", {}, data.page_command), " writes a page with all digits."] : []))),
-        element("section", { class: "panel", "aria-label": "tree" }, element("h3", {}, "The tree"), this.search(), this.treeBox,
-          element("h3", {}, "The path of this state"), this.pathList),
-        element("section", { class: "panel wide", "aria-label": "why this action" }, element("h3", {}, "Why this action"), element("div", { class: "halves" }, this.sumsBox, this.nearestBox)),
-        element("section", { class: "panel wide", "aria-label": "episode" }, element("h3", {}, "A recorded episode"), ...this.player()),
-        element("section", { class: "panel wide", "aria-label": "what matters" }, ...importanceTable(data)),
-        element("section", { class: "panel wide", "aria-label": "programs" }, ...this.programs()),
-      ),
-    );
-    this.drawing = drawTree(this.treeBox, this.tree, this.features, (leaf) => this.leafText(leaf), (leaf) => this.goTo(leaf));
+    const part = (label, title, ...parts) => element("section", { class: "panel wide", "aria-label": label }, ...(title ? [element("h3", {}, title)] : []), ...parts);
+    const rounded = [" The tree's numbers are rounded to seven digits: in visited states it takes the same leaves, and actions differ by less than 1/10,000 of the largest. ",
+      element("code", {}, data.page_command), " writes a page with all digits."];
+    const state = element("section", { class: "panel", "aria-label": "state" }, element("h3", {}, "The state, and what the policy does"), this.actionBox, this.sliders(),
+      element("p", { class: "quiet" }, "Ranges are the environment's, or a tenth beyond what was visited where it has none.", ...(this.tree.isRounded ? rounded : [])));
+    const tree = element("section", { class: "panel", "aria-label": "tree" }, element("h3", {}, "The tree"), this.search(), this.treeBox, this.chosenBox,
+      element("h3", {}, "The path of this state"), this.pathList);
+    container.replaceChildren(element("p", { class: "quiet" }, data.about), element("div", { class: "view" },
+      part("verdict", "", ...verdictParts(data.verdict)),
+      part("programs", "", ...programParts(data, this.tree.nLeaves)), state, tree,
+      part("why this action", "Why this action", element("div", { class: "halves" }, this.sumsBox, this.nearestBox)),
+      part("what matters", "", ...importanceTable(data)),
+      part("episode", "A recorded episode", ...this.player())));
+    this.drawing = drawTree(this.treeBox, this.tree, this.features, data, {
+      goTo: (leaf) => this.goTo(leaf),
+      choose: (text) => (this.chosenBox.textContent = text),
+    });
     this.drawCharts();
     this.showStep(0);
+    this.isWhole = true;
   }
 
   // The state
@@ -96,7 +98,7 @@ class PolicyView {
     this.leaf = leaf;
     this.answer = answer;
     const path = this.tree.pathTo(leaf);
-    this.drawing.show(path);
+    this.drawing.show(path, this.isWhole);
     this.inputs.forEach(({ input, output, unit }, j) => {
       if (Number(input.value) !== this.x[j]) input.value = this.x[j];
       output.textContent = digits(this.x[j]);
@@ -131,24 +133,11 @@ class PolicyView {
       const value = this.tree.value(node, this.x);
       const holds = path[i + 1] === this.tree.left[node];
       const summary = element("summary", {}, `${testText(this.tree, node, this.features, 3)}: ${holds ? "yes" : "no"}, ${digits(value)}`);
-      const row = termsOf(this.tree, node, this.features)
+      const row = termsOf(this.tree.P.subarray(node * this.x.length, (node + 1) * this.x.length), this.features)
         .map(({ weight, name }) => `${this.tree.exact(weight)} ${name}`).concat(this.tree.exact(this.tree.v[node])).join("\n+ ");
       const details = element("details", { "data-node": node, open: open.has(String(node)) }, summary, element("pre", {}, `${row} ≤ 0`));
       return element("li", {}, details);
     }));
-  }
-
-  leafText(leaf) {
-    if (this.tree.labels) return this.data.answers[this.tree.labels[leaf]];
-    const row = (o) => {
-      const at = (leaf * this.tree.nOutputs + o) * this.tree.nInputs;
-      const terms = this.features.map(({ name, low, high }, j) => ({ name, weight: this.tree.M[at + j], size: Math.abs(this.tree.M[at + j]) * (high - low) }))
-        .filter(({ weight }) => weight !== 0).sort((a, b) => b.size - a.size);
-      const c = this.tree.c[leaf * this.tree.nOutputs + o];
-      return terms.slice(0, 1).map(({ weight, name }) => `${digits(weight)} ${name}`).concat(terms.length > 1 ? "…" : [], digits(c)).join(" + ");
-    };
-    const names = this.tree.nOutputs === this.data.answers.length ? this.data.answers : null;
-    return Array.from({ length: this.tree.nOutputs }, (_, o) => `${names ? `${names[o]} = ` : ""}${row(o)}`).join(", ");
   }
 
   /** Go to a recorded state of a leaf, where there is one. */
@@ -156,7 +145,7 @@ class PolicyView {
     const step = this.episode.leaves.indexOf(leaf);
     this.stop();
     if (step >= 0) this.showStep(step);
-    else this.drawing.show(this.tree.pathTo(leaf));
+    else this.drawing.show(this.tree.pathTo(leaf), true);
   }
 
   search() {
@@ -168,12 +157,17 @@ class PolicyView {
         if (Number(word) >= 1 && Number(word) <= this.tree.nLeaves) refs.push(~(Number(word) - 1));
       } else if (word) {
         for (let i = 0; i < this.tree.nNodes; i++) if (testText(this.tree, i, this.features).toLowerCase().includes(word)) refs.push(i);
-        for (let k = 0; k < this.tree.nLeaves; k++) if (this.leafText(k).toLowerCase().includes(word)) refs.push(~k);
+        for (let k = 0; k < this.tree.nLeaves; k++) if (leafText(this.tree, k, this.features, this.data).toLowerCase().includes(word)) refs.push(~k);
       }
       this.drawing.find(refs);
       found.textContent = word ? ` ${refs.length} found` : "";
     });
-    return element("p", {}, box, found);
+    const whole = element("button", { type: "button", "aria-pressed": "false" }, "The whole tree");
+    whole.addEventListener("click", () => {
+      whole.setAttribute("aria-pressed", this.treeBox.classList.toggle("whole"));
+      this.drawing.fit();
+    });
+    return element("p", {}, box, " ", whole, found);
   }
 
   // The episode
@@ -261,29 +255,21 @@ class PolicyView {
     context.fillRect(this.step, 0, 1, height);
   }
 
+  /** Draw the actions, and of the inputs the eight that matter most, the first four at once. */
   drawCharts() {
-    const steps = Array.from({ length: this.episode.length }, (_, t) => t * this.episode.stride);
+    const at = Array.from({ length: this.episode.length }, (_, t) => t * this.episode.stride);
     const labels = this.episode.nActions === 1 && (this.tree.labels || !this.data.limits);
-    const actions = labels ? ["action"] : this.data.answers;
-    const series = (values) => [steps, ...values];
-    const ofActions = actions.map((_, j) => steps.map((__, t) => this.episode.answers[t * this.episode.nActions + j]));
-    const ofStates = this.features.map((_, j) => this.episode.states.map((x) => x[j]));
-    this.chart("actions", series(ofActions), actions, labels ? this.data.answers : null);
-    this.chart("states", series(ofStates), this.features.map(({ name, unit }) => (unit ? `${name} (${unit})` : name)), null, 4);
+    const actions = (labels ? ["action"] : this.data.answers).map((label, j) => ({ label, values: at.map((_, t) => this.episode.answers[t * this.episode.nActions + j]) }));
+    const inputs = byImportance(this.data).slice(0, MOST_LINES).map((j, i) => ({
+      label: this.features[j].unit ? `${this.features[j].name} (${this.features[j].unit})` : this.features[j].name,
+      values: this.episode.states.map((x) => x[j]), show: i < 4,
+    }));
+    this.chart("actions", actions.slice(0, MOST_LINES), labels ? this.data.answers : null);
+    this.chart(this.features.length > MOST_LINES ? "the eight states that matter most" : "states", inputs, null);
   }
 
-  chart(title, data, names, words, shown = 8) {
-    const colour = (i) => ["#0072b2", "#d55e00", "#009e73", "#b0568a", "#b87f00", "#3d8fc0", "#7a7000", "#888888"][i % 8];
-    const ink = getComputedStyle(document.body).color;
-    const axis = { stroke: ink, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884" } };
-    const chart = new uPlot({
-      title, width: Math.max(280, this.chartBox.clientWidth || 800), height: 180,
-      cursor: { y: false }, scales: { x: { time: false }, y: { range: (_, low, high) => (low === high ? [low - 1, high + 1] : uPlot.rangeNum(low, high, 0.1, true)) } },
-      axes: [{ ...axis, label: "step", labelSize: 16 }, { ...axis, size: words ? 110 : 56, ...(words ? { splits: () => words.map((_, k) => k), values: (_, at) => at.map((k) => words[k] ?? "") } : {}) }],
-      series: [{ label: "step" }, ...names.map((label, i) => ({ label, stroke: colour(i), width: 1.2, show: i < shown }))],
-    }, data, this.chartBox);
-    chart.root.setAttribute("role", "img");
-    chart.root.setAttribute("aria-label", `${title} over the steps of the episode: ${names.join(", ")}`);
+  chart(title, lines, words) {
+    const chart = addChart(this.chartBox, { title, x: "step", words }, Array.from({ length: this.episode.length }, (_, t) => t * this.episode.stride), lines);
     chart.over.addEventListener("click", () => {
       if (chart.cursor.idx === null) return;
       this.stop();
@@ -292,32 +278,9 @@ class PolicyView {
     this.charts.push(chart);
   }
 
-  // The programs
-
-  programs() {
-    const parts = [element("h3", {}, "The program")];
-    const copied = (text) => {
-      const button = element("button", { type: "button" }, "Copy");
-      button.addEventListener("click", async () => {
-        await navigator.clipboard.writeText(text);
-        button.textContent = "Copied";
-      });
-      return button;
-    };
-    if (this.data.program) parts.push(element("pre", { class: "program", tabindex: 0, "aria-label": "the program" }, this.data.program), copied(this.data.program));
-    else parts.push(element("p", {}, `${this.tree.nLeaves.toLocaleString("en")} leaves, too many to read as nested ifs.`));
-    for (const [language, text] of Object.entries(this.data.exports)) {
-      parts.push(element("details", {}, element("summary", {}, `In ${language}`), element("pre", { class: "program", tabindex: 0, "aria-label": language }, text), copied(text)));
-    }
-    if (this.data.left_out.length) parts.push(element("p", { class: "quiet" }, `${this.data.left_out.join(", ")}: too long for this page; `, element("code", {}, this.data.export_command), " writes it, with NAME one of c, python, structured_text."));
-    if (this.data.proof) parts.push(element("p", { class: "proof" }, this.data.proof));
-    const folder = this.data.folder === "." ? "this page's folder" : this.data.folder;
-    parts.push(element("p", { class: "quiet" }, "The run's files: ", element("a", { href: this.data.folder }, folder)));
-    return parts;
-  }
-
   resize() {
-    for (const chart of this.charts) chart.setSize({ width: Math.max(280, this.chartBox.clientWidth), height: 180 });
+    for (const chart of this.charts) chart.setSize({ width: widthIn(this.chartBox), height: chart.height });
+    this.drawing.fit();
   }
 
   close() {

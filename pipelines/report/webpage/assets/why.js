@@ -73,13 +73,21 @@ function showWhy(view) {
   view.nearestBox.style.visibility = view.playing ? "hidden" : "";
 }
 
+/** Return the inputs' numbers, those that matter most in visited states first. */
+function byImportance({ importance, features }) {
+  const columns = [...(importance.outputs ?? []), importance.decisions];
+  const most = columns.map((column) => Math.max(...column));
+  const size = (j) => Math.max(...columns.map((column, c) => (most[c] ? column[j] / most[c] : 0)));
+  return features.map((_, j) => j).sort((a, b) => size(b) - size(a));
+}
+
 /** Return the table of what matters over visited states. */
-function importanceTable({ importance, outputs, features }) {
+function importanceTable(data) {
+  const { importance, outputs, features } = data;
   const columns = [...(importance.outputs ?? []), importance.decisions];
   const names = [...(importance.outputs ? outputs : []), "decisions"];
   const most = columns.map((column) => Math.max(...column));
-  const size = (j) => Math.max(...columns.map((column, c) => (most[c] ? column[j] / most[c] : 0)));
-  const order = features.map((_, j) => j).sort((a, b) => size(b) - size(a));
+  const order = byImportance(data);
   const rows = order.map((j) => rowOf(features[j].name, ...columns.map((column, c) => [digits(column[j]), barOf(column[j], most[c], false)])));
   const head = element("thead", {}, element("tr", {}, element("td"), ...names.map((name) => element("th", { scope: "col" }, name))));
   const text = `${importance.outputs ? "Of an output: its weight's size times the input's standard deviation, on average over visits. " : ""}Decisions: each test passed counts once, divided among its inputs by their weights' sizes times deviations.`;

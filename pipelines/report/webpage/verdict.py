@@ -1,0 +1,156 @@
+"""What a page says first: what a policy returns, compared with its network, an oracle and a linear policy."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import otr
+from otr.shorten.edits import n_numbers
+from pipelines.config.run import RunConfig
+from pipelines.engine.store import read_summary
+from pipelines.errors import PipelineError
+from pipelines.report.headline import spread
+from pipelines.report.statistics import welch_p_value
+from pipelines.runs.finished_run import results_of
+from pipelines.runs.result import likeness, proof_line
+
+ALPHA = 0.05  # of a difference that a page calls one
+
+
+@dataclass(frozen=True)
+class Returns:
+    """The mean and the deviation of a policy's returns over its evaluation episodes, and whose they are."""
+
+    mean: float
+    std: float
+    n_episodes: int
+    about: str = ""
+
+    def __str__(self) -> str:
+        return spread(self.mean, self.std)
+
+
+def returns_of(summary: Mapping[str, Any], form: str, about: str = "") -> Returns | None:
+    """Return what a form of a run's policy returns, from the run's summary; None where that does not know.
+
+    A polished policy is the one that was pruned again; the minimal tree computes what the whole one does.
+    """
+    of_form = {"pruned": "pruned_tree", "full": "tree", "minimal": "tree"}.get(form, form)
+    found = {"polished": summary.get("polish"), "simplified": summary.get("simplify")}.get(
+        form, summary.get("policies", {}).get(of_form)
+    )
+    if not found:
+        return None
+    mean, std = (found.get(f"return_{name}_pruned", found.get(f"return_{name}")) for name in ("mean", "std"))
+    return Returns(float(mean), float(std or 0.0), int(found["n_episodes"]), about)
+
+
+def verdict(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> dict[str, Any]:
+    """Return what a page says of a run's tree before it shows it, as JSON-able data.
+
+    Returns:
+        `lead`: a sentence or two; `rows`: of each policy its name, what it is, its return, episodes, leaves, numbers;
+        `lines`: how similarly it acts; `proof`; and the numbers of the list of policies.
+    """
+    summary = read_summary(folder)
+    own, numbers = returns_of(summary, form), n_numbers(tree)
+    known = best_known(results_of(folder), run.env.name)
+    widths = summary.get("oracle", {}).get("hidden_widths")
+    oracle = returns_of(summary, "oracle", f"{widths}, which this tree imitates") or known.get("oracle")
+    rows = [_row(f"this tree ({form})", own, tree.n_leaves, numbers)]
+    if form != "simplified" and (shorter := returns_of(summary, "simplified")):
+        size = summary["simplify"]
+        rows.append(_row("simplified", shorter, size["n_leaves"], size["n_numbers"], "the program below"))
+    if network := returns_of(summary, "network", "of which this is the tree"):
+        rows.append(_row("the network", network))
+    rows += [_row("an oracle", oracle), _row("a linear policy", known.get("linear"))]
+    return {
+        "lead": _lead(own, None if tree.n_leaves == 1 else known.get("linear")),
+        "rows": rows,
+        "lines": _likeness(summary, form),
+        "proof": proof(summary, form),
+        "return": None if own is None else [own.mean, str(own)],
+        "n_leaves": tree.n_leaves,
+        "n_numbers": numbers,
+    }
+
+
+def _row(
+    name: str, returns: Returns | None, n_leaves: int | None = None, numbers: int | None = None, about: str = ""
+) -> list[str]:
+    sizes = ["" if size is None else f"{size:,}" for size in (n_leaves, numbers)]
+    about = about or (returns.about if returns else "")
+    return [name, about, *((str(returns), f"{returns.n_episodes:,}") if returns else ("not run", "")), *sizes]
+
+
+def _lead(own: Returns | None, linear: Returns | None) -> str:
+    """Return what the policy returns, and whether that differs from what a linear one does (Welch's test)."""
+    if own is None:
+        return "This form of the tree has not been evaluated."
+    text = f"Returns {own} over {own.n_episodes:,} episodes."
+    if linear is None:
+        return text
+    p = welch_p_value((own.mean, own.std, own.n_episodes), (linear.mean, linear.std, linear.n_episodes))
+    is_one = p < ALPHA if p == p else own.mean != linear.mean
+    side = "higher than" if own.mean > linear.mean else "lower than"
+    how = f"is {side}" if is_one else "does not differ significantly from"
+    return f"{text} That {how} the best linear policy's {linear}."
+
+
+def _likeness(summary: Mapping[str, Any], form: str) -> list[str]:
+    lines = []
+    if form == "pruned":
+        policy, share = "network" if "network" in summary["policies"] else "whole tree", summary["fidelity"]
+        lines.append(f"It acts as the {policy} in {math.floor(1e4 * share) / 100:.2f} % of the states that it visits.")
+    if form == "polished":
+        before = spread(*(summary["polish"][f"return_{name}_before"] for name in ("mean", "std")))
+        lines.append(f"Before the polish it returned {before}.")
+    if form == "simplified":
+        lines.append(
+            f"It acts as the tree that it shortens in {100 * summary['simplify']['fidelity']:.1f} % of states."
+        )
+    if "oracle" in summary:
+        lines.append(f"{likeness(summary['oracle']).removeprefix('oracle ')}.")
+    return lines
+
+
+def proof(summary: Mapping[str, Any], form: str) -> str:
+    """Return what the run's certificate says, and that it is of the minimal tree; nothing where there is none."""
+    if not summary.get("certify", {}).get("certified"):
+        return ""
+    text = proof_line(summary["certify"])
+    if "polish" in summary and summary["certify"].get("policy") != "polished":
+        text += ". It is of the network before the polish"
+    return text if form == "minimal" else f"{text}. The tree below is the {form} one."
+
+
+@functools.cache
+def best_known(results_dir: Path, env: str) -> dict[str, Returns]:
+    """Return the highest returns of an oracle and of a linear policy among an environment's runs, where there are any.
+
+    A linear policy is one of depth 0, polished or not. A run whose summary cannot be read is ignored: it is not the
+    one that is shown.
+    """
+    found: dict[str, list[Returns]] = {"oracle": [], "linear": []}
+    for path in sorted(results_dir.glob(f"runs/{env}/*/depth-*/*/seed-*/summary.json")):
+        try:
+            summary = read_summary(path.parent)
+        except PipelineError:
+            continue
+        method, depth, budget, seed = path.parts[-5:-1]
+        where = f"{budget}, {seed.replace('-', ' ')}"
+        forms = [("oracle", "oracle", f"{summary.get('oracle', {}).get('hidden_widths')}, {where}")]
+        if depth == "depth-0":
+            polished = [("polished", f"{method}, {where}, polished")] if summary.get("polish", {}).get("kept") else []
+            forms += [("linear", *each) for each in (("pruned", f"{method}, {where}"), *polished)]
+        for kind, form, about in forms:
+            if returns := returns_of(summary, form, about):
+                found[kind].append(returns)
+    best = {kind: max(known, key=lambda each: each.mean) for kind, known in found.items() if known}
+    n = {kind: len({each.mean for each in known}) for kind, known in found.items()}  # several imitate one oracle
+    return {kind: replace(each, about=f"the best of {n[kind]:,} known: {each.about}") for kind, each in best.items()}

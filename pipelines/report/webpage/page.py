@@ -157,10 +157,14 @@ def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path)
         if key != f"policy-{len(shown)}":
             continue
         name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
-        title = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_pruned']:z.1f}"
-        if nearest["return_pruned"] != nearest["return_mean"]:
-            title += f" (the whole tree {nearest['return_mean']:z.1f})"
-        shown.append(Shown(title, TASK_NAMES.get(cell.task, cell.task), folder, form))
+        shown.append(
+            Shown(
+                f"{name}, {nearest['budget']}, seed {nearest['seed']}",
+                TASK_NAMES.get(cell.task, cell.task),
+                folder,
+                form,
+            )
+        )
     return shown, policies
 
 

@@ -54,7 +54,7 @@ def verdict(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> d
     """Return what a page says of a run's tree before it shows it, as JSON-able data.
 
     Returns:
-        `lead`: a sentence or two; `rows`: of each policy its name, what it is, its return, episodes, leaves, numbers;
+        `lead`: a sentence or two; `rows`: of each policy its name, what it is, its return, leaves and numbers;
         `lines`: how similarly it acts; `proof`; and the numbers of the list of policies.
     """
     summary = read_summary(folder)
@@ -62,30 +62,32 @@ def verdict(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> d
     known = best_known(results_of(folder), run.env.name)
     widths = summary.get("oracle", {}).get("hidden_widths")
     oracle = returns_of(summary, "oracle", f"{widths}, which this tree imitates") or known.get("oracle")
-    rows = [_row(f"this tree ({form})", own, tree.n_leaves, numbers)]
-    if form != "simplified" and (shorter := returns_of(summary, "simplified")):
-        size = summary["simplify"]
-        rows.append(_row("simplified", shorter, size["n_leaves"], size["n_numbers"], "the program below"))
+    others: list[tuple[str, Returns | None, int | None, int | None]] = []
+    if form != "simplified" and (shorter := returns_of(summary, "simplified", "whose program is below")):
+        others.append(("simplified", shorter, summary["simplify"]["n_leaves"], summary["simplify"]["n_numbers"]))
     if network := returns_of(summary, "network", "of which this is the tree"):
-        rows.append(_row("the network", network))
-    rows += [_row("an oracle", oracle), _row("a linear policy", known.get("linear"))]
+        others.append(("the network", network, None, None))
+    elif form == "pruned" and summary["n_leaves"] != summary["pruned_leaves"]:
+        others.append(("the whole tree", returns_of(summary, "full"), summary["n_leaves"], None))
+    others += [("an oracle", oracle, None, None), ("a linear policy", known.get("linear"), None, None)]
     return {
-        "lead": _lead(own, None if tree.n_leaves == 1 else known.get("linear")),
-        "rows": rows,
+        "lead": _lead(own, None if tree.n_nodes == 0 else known.get("linear")),
+        "rows": [_row(*each, own.n_episodes if own else 0)
+                 for each in ((f"this tree ({form})", own, tree.n_leaves, numbers), *others)],
         "lines": _likeness(summary, form),
         "proof": proof(summary, form),
         "return": None if own is None else [own.mean, str(own)],
         "n_leaves": tree.n_leaves,
         "n_numbers": numbers,
-    }
+    }  # fmt: skip
 
 
-def _row(
-    name: str, returns: Returns | None, n_leaves: int | None = None, numbers: int | None = None, about: str = ""
-) -> list[str]:
+def _row(name: str, returns: Returns | None, n_leaves: int | None, numbers: int | None, n_episodes: int) -> list[str]:
     sizes = ["" if size is None else f"{size:,}" for size in (n_leaves, numbers)]
-    about = about or (returns.about if returns else "")
-    return [name, about, *((str(returns), f"{returns.n_episodes:,}") if returns else ("not run", "")), *sizes]
+    if returns is None:
+        return [name, "", "not run", *sizes]
+    over = [] if returns.n_episodes == n_episodes else [f"over {returns.n_episodes:,} episodes"]
+    return [name, ", ".join(filter(None, [returns.about, *over])), str(returns), *sizes]
 
 
 def _lead(own: Returns | None, linear: Returns | None) -> str:

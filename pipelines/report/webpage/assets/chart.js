@@ -49,9 +49,9 @@ function addChart(place, { title, x, y, height = 180, log = false, words = null,
     cursor: { y: false }, scales: { x: { time: false, distr: log ? 3 : 1 }, y: { range } },
     axes: [
       { ...axis, label: x, labelSize: 18, space: 64, values: (_, all) => tickTexts(all) },
-      { ...axis, ...(y ? { label: y, labelSize: 18 } : {}), size: (_, texts) => 16 + 7 * Math.max(3, ...(texts ?? []).map((text) => text.length)), ...ticks },
+      { ...axis, ...(y ? { label: y, labelSize: 22, labelGap: 4 } : {}), size: (_, texts) => 20 + 7 * Math.max(3, ...(texts ?? []).map((text) => text.length)), ...ticks },
     ],
-    series: [{ label: x }, ...series], hooks: { draw: [drawMarks] },
+    series: [{ label: x }, ...series], hooks: { draw: [drawMarks], setSeries: [hideAlike] },
   }, [at, ...lines.map(({ values }) => values)], place);
   chart.root.setAttribute("role", "group");
   chart.root.setAttribute("aria-label", `${title ?? y}, over ${x}: ${lines.map(({ label }) => label).join("; ")}`);
@@ -63,6 +63,14 @@ function addChart(place, { title, x, y, height = 180, log = false, words = null,
     });
   }
   return chart;
+}
+
+/** Hide the line that looks as one that is shown now. */
+function hideAlike(chart, shown, { show }) {
+  if (!show || shown === null) return;
+  chart.series.forEach((series, i) => {
+    if (i && i !== shown && series.show && (i - shown) % MOST_LINES === 0) chart.setSeries(i, { show: false });
+  });
 }
 
 function widthIn(place) { return Math.min(1200, Math.max(240, place.clientWidth || 800)); }

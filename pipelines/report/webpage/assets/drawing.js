@@ -84,7 +84,7 @@ function drawTree(container, tree, features, data, { goTo, choose }) {
   const fit = () => {
     const isWide = container.scrollWidth > container.clientWidth + 1 || container.scrollHeight > container.clientHeight + 1;
     const how = isDrawn ? "Up is yes, down is no; a box opens all of its terms." : "A leaf is as wide as it is visited; what is pressed is said here.";
-    hint.textContent = `${how}${isWide ? " The tree is larger than its frame: scroll in it." : ""}`;
+    hint.textContent = tree.nNodes === 0 ? "It tests nothing." : `${how}${isWide ? " The tree is larger than its frame: scroll in it." : ""}`;
   };
   container.scrollTop = (container.scrollHeight - container.clientHeight) / 2; // where the root is, about
   scrollTo(container, marks.get(tree.root)?.[0]);

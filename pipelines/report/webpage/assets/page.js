@@ -55,7 +55,7 @@ function lines(container, figures) {
     const [at, ...values] = uPlot.join(sorted.map(({ points }) => [points.map(([where]) => where), points.map(([, value]) => value)]));
     place.replaceChildren();
     addChart(place, { x, y, log, height: 300, spans: true }, at, sorted.map(({ label }, i) => ({ label, values: values[i], show: i < MOST_LINES })));
-    note.textContent = series.length > MOST_LINES ? `Of ${series.length} lines the eight that rise highest are drawn; a click in the legend adds or takes away one.` : "";
+    note.textContent = series.length > MOST_LINES ? `Of ${series.length} lines the eight that rise highest are drawn; a click on another in the legend shows it in the place of one.` : "";
   };
   select.addEventListener("change", draw);
   container.replaceChildren(select, place, note);

@@ -3,7 +3,7 @@
 
 /** Return the verdict: a sentence, a table of returns, how similarly it acts, and what is proved. */
 function verdictParts({ lead, rows, lines, proof }) {
-  const head = ["", "Return", "Episodes", "Leaves", "Numbers"].map((name) => (name ? element("th", { scope: "col" }, name) : element("td")));
+  const head = ["", "Return", "Leaves", "Numbers"].map((name) => (name ? element("th", { scope: "col" }, name) : element("td")));
   const body = rows.map(([name, about, ...cells]) => element("tr", {}, element("th", { scope: "row" }, name, element("span", { class: "note" }, about)), ...cells.map((text) => element("td", {}, text))));
   return [
     element("p", { class: "lead" }, lead),

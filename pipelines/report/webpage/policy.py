@@ -150,7 +150,7 @@ def _texts(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> li
         trees["simplified"] = page_tree(run, folder, "simplified")
     programs = []
     for each, shown in sorted(trees.items(), key=lambda item: n_numbers(item[1])):
-        size = f"{number_of(shown.n_leaves, 'leaf')}, {n_numbers(shown):,} numbers"
+        size = f"{number_of(shown.n_leaves, 'leaf')}, {number_of(n_numbers(shown), 'number')}"
         returns = returns_of(summary, each)
         title = f"{each} tree: {size}{f', returns {returns}' if returns else ''}"
         if shown.n_leaves > MOST_LEAVES:

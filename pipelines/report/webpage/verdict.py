@@ -139,7 +139,7 @@ def best_known(results_dir: Path, env: str) -> dict[str, Returns]:
     one that is shown.
     """
     found: dict[str, list[Returns]] = {"oracle": [], "linear": []}
-    for path in sorted(results_dir.glob(f"runs/{env}/*/depth-*/*/seed-*/summary.json")):
+    for path in sorted((results_dir / "runs" / env).glob("*/depth-*/*/seed-*/summary.json")):
         try:
             summary = read_summary(path.parent)
         except PipelineError:

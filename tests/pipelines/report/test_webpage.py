@@ -17,14 +17,18 @@ from PIL import Image
 
 import otr
 from pipelines.cli.runs import load_config
-from pipelines.engine.store import read_csv, write_json
-from pipelines.errors import PipelineError
+from pipelines.engine.store import read_csv
+from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import play_seeds
+from pipelines.report.cells import TASK_NAMES
+from pipelines.report.frames import load_runs
 from pipelines.report.webpage import page as webpage
 from pipelines.report.webpage.episode import LEVELS, packed, record
+from pipelines.report.webpage.gallery import readable_trees, write_gallery
 from pipelines.report.webpage.page import write_results_page, write_run_page
 from pipelines.report.webpage.physical_units import unit_of
-from pipelines.report.webpage.policy import _proof, _rounds_unseen, page_tree, tree_data
+from pipelines.report.webpage.policy import _rounds_unseen, page_tree, tree_data
+from pipelines.report.webpage.verdict import Returns, _lead, best_known, proof
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
 from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command, otr_succeeds
@@ -86,9 +90,10 @@ def test_the_page_holds_the_tree_bit_for_bit_its_program_and_its_proof(car: str)
     assert [feature["name"] for feature in data["features"]] == ["position", "velocity"]
     assert (data["features"][0]["low"], data["features"][0]["high"]) == pytest.approx((-1.2, 0.6))
     assert "double" in data["exports"]["C"] and "def " in data["exports"]["Python"] and not data["left_out"]
-    assert data["program"].startswith("if ") and data["answers"] == ["force"]
-    assert data["proof"].startswith("certificate: the minimal tree, of ")
-    assert data["proof"].endswith("otr-verify checks it again. The tree above is the pruned one.")
+    assert data["answers"] == ["force"] and data["texts"][1][1].startswith("if ")
+    proved = data["verdict"]["proof"]
+    assert proved.startswith("certificate: the minimal tree, of ")
+    assert proved.endswith("otr-verify checks it again. The tree below is the pruned one.")
     for array in (np.array([[0.1, -1e300], [5e-324, 3.0]]), np.array([-5, 7], np.int32), np.array([], np.uint16)):
         np.testing.assert_array_equal(unpacked(packed(array)), array)
         assert unpacked(packed(array)).dtype == array.dtype
@@ -128,6 +133,53 @@ def test_what_matters_stands_on_the_page(car: str) -> None:
     assert (deviations > 0).all() and (deviations < ranges).all()
 
 
+def test_the_page_leads_with_what_the_policy_returns_compared_with_others(car: str, tmp_path: Path) -> None:
+    (data,) = stored(car)
+    summary, verdict = json.loads((CAR / "summary.json").read_text()), data["verdict"]
+    known = best_known(RESULTS, "mountaincar")
+    assert verdict["lead"].startswith("Returns 92.45 ± 0.15 over 1,000 episodes. That is lower than the best linear")
+    rows = {row[0]: row[1:] for row in verdict["rows"]}
+    assert rows["this tree (pruned)"] == ["", "92.45 ± 0.15", "2", "8"] and rows["the network"][1] == "92.45 ± 0.15"
+    assert rows["a linear policy"][1] == str(known["linear"]) == "97.83 ± 6.24"
+    assert rows["an oracle"][0].startswith("the best of 3 known: [32], quick, seed ")
+    assert known["linear"].mean == max(
+        json.loads(path.read_text())["policies"]["pruned_tree"]["return_mean"]
+        for path in RESULTS.glob("runs/mountaincar/*/depth-0/*/seed-*/summary.json")
+    )
+    assert f"{summary['fidelity']:.2%}".replace("%", " %") in verdict["lines"][0]
+    (first, _), (second, _) = data["texts"]  # the shorter one first
+    assert first == "simplified tree: 1 leaf, 1 number, returns 91.34 ± 1.29" and second.startswith("pruned tree: 2 l")
+    alone = stored(page_of_results(results_of(tmp_path, CAR)))[0]["verdict"]
+    assert [row[2] for row in alone["rows"]][-2:] == ["not run", "not run"]
+    assert alone["lead"] == "Returns 92.45 ± 0.15 over 1,000 episodes."
+
+
+@pytest.mark.parametrize(("mean", "says"), [(50.0, "is lower"), (59.9, "does not differ"), (70.0, "is higher")])
+def test_a_difference_is_one_where_it_is_significant(mean: float, says: str) -> None:
+    linear = Returns(60.0, 10.0, 100)
+    assert f"That {says}" in _lead(Returns(mean, 10.0, 100), linear)
+
+
+def test_the_gallery_chooses_by_its_rule_and_has_a_page_each(tmp_path: Path) -> None:
+    runs = load_runs(RESULTS)
+    chosen = readable_trees(runs).set_index("task")
+    assert [*chosen.index] == [*TASK_NAMES] and chosen["leaves"].between(2, 40).all()
+    of_pendulum = runs[(runs["env"] == "pendulum") & (runs["form"] == "simplified")]
+    assert chosen.loc["pendulum", "leaves"] == of_pendulum["simplify.n_leaves"].min() == 4
+    swimmer = runs[(runs["env"] == "swimmer") & (runs["form"] == "pruned_tree") & runs["pruned_leaves"].between(2, 40)]
+    smaller = swimmer[swimmer["pruned_leaves"] < chosen.loc["swimmer", "leaves"]]["return_mean"]
+    assert (smaller < 0.95 * swimmer["return_mean"].max()).all()
+    index = write_gallery(results_of(tmp_path, CAR, LANDER), tmp_path / "gallery", config_of).read_text()
+    assert re.findall(r'<a href="([^"]+)"', index) == ["mountaincar.html", "lunarlander.html"]
+    page = (tmp_path / "gallery/lunarlander.html").read_text()
+    (policy,) = stored(page)
+    assert policy["form"] == "polished" and policy["folder"] == "" and '<a href="index.html">' in page
+    moving = Image.open(tmp_path / "gallery/mountaincar.webp")
+    assert moving.is_animated and moving.n_frames > 5  # type: ignore[attr-defined]
+    with pytest.raises(MissingInputError, match="no run there has a tree of 2 to 40 leaves"):
+        write_gallery(tmp_path / "nowhere", tmp_path / "none", config_of)
+
+
 def test_labels_that_the_head_decides_are_decided_by_tests_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     tree = random_tree(rng, 5, 2, 3, 4).replace(head=otr.Argmax())
@@ -141,19 +193,18 @@ def test_the_page_needs_no_network_and_its_scripts_are_whole(car: str) -> None:
     assert not re.findall(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", car)
     assert "fetch(" not in car and "import(" not in car and "XMLHttpRequest" not in car
     assert car.count("<script") == car.count("</script>") == 2  # the policy, and the scripts
-    assert "$" + "title" not in car and "<title>mountaincar: otr, depth 1, seed 0</title>" in car
+    assert "$" + "title" not in car and "<title>mountaincar/otr/depth-1/quick/seed-0</title>" in car
 
 
-def test_a_proof_of_the_network_before_a_polish_says_so(tmp_path: Path) -> None:
+def test_a_proof_of_the_network_before_a_polish_says_so() -> None:
     proved = {"certified": True, "max_error": 1e-9, "n_leaves": 2, "domain": "a box", "seconds": {}}
     for labels, policy, like in (
         ({}, {"policy": "polished"}, "the polished network to 1e-9"),
         ({"labels": True}, {}, "the network, but perhaps within 1e-9 of a boundary,"),
     ):
-        write_json(tmp_path / "summary.json", {"polish": {}, "certify": proved | labels | policy})
-        told = _proof(tmp_path, "polished")
-        assert f"is {like} on a box" in told
-        assert ("It is of the network before the polish. The tree above is the polished one." in told) == (not policy)
+        said = proof({"polish": {}, "certify": proved | labels | policy}, "polished")
+        assert f"is {like} on a box" in said
+        assert ("It is of the network before the polish. The tree below is the polished one." in said) == (not policy)
 
 
 def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,14 +226,14 @@ def test_several_runs_are_chosen_from_a_list_and_terms_of_pid_have_ranges(tmp_pa
     page = page_of_runs(tmp_path, LANDER, PID)
     lander, pid = stored(page)
     assert lander["tree"]["labels"] and lander["limits"] is None and "M" not in lander["tree"]
-    assert page.count("<option") == 2 and '<option value="policy-1">pid, depth 1, seed 0</option>' in page
+    assert page.count('<a href="#view"') == 2 and 'data-policy="policy-1">pid, depth 1, seed 0</a>' in page
+    assert f'<td data-value="{lander["verdict"]["return"][0]}">{lander["verdict"]["return"][1]}</td>' in page
     assert len(pid["features"]) == 12 and all(feature["low"] < feature["high"] for feature in pid["features"])
     assert pid["tree"]["head"]["name"] == "pid_box"
 
 
 def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     tree = page_tree(config_of(LANDER), LANDER, "pruned")
-    monkeypatch.setattr("pipelines.report.webpage.episode.MOST_STEPS", 50)
 
     def no_screen(env: Any, width: int) -> None:
         raise PipelineError("video: it cannot be rendered here (no screen). MuJoCo needs a screen")
@@ -190,7 +241,7 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
     monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
     env = config_of(LANDER).env
     (length,) = play_seeds(tree.predict, env, [1000], n_workers=1).lengths.tolist()
-    episode = record(tree, env, 1000, length=length, n_frames=5, width=32)
+    episode = record(tree, env, 1000, length=length, n_frames=5, width=32, most_steps=50)
     assert len(unpacked(episode["states"])) == len(unpacked(episode["leaves"])) and episode["n_steps"] == length
     assert episode["stride"] == -(-episode["n_steps"] // 50) > 1
     assert unpacked(episode["leaves"]).shape == (-(-episode["n_steps"] // episode["stride"]),)
@@ -256,7 +307,7 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
 def test_runs_that_differ_in_other_settings_are_told_apart(tmp_path: Path) -> None:
     name = "mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
     page = page_of_runs(tmp_path, CAR, results_of(tmp_path, CAR, name=name) / "runs" / name)
-    names = re.findall(r"<option value=[^>]*>([^<]*)</option>", page)
+    names = re.findall(r"data-policy=[^>]*>([^<]*)</a>", page)
     assert names == ["otr, depth 1, seed 0", "otr, depth 1, seed 0 ~0a1b2c3d"]
     assert names[1] in stored(page)[1]["about"]
 
@@ -272,7 +323,7 @@ def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
     (run / "summary.json").write_text(json.dumps(summary))
     page = page_of_results(tmp_path / "results")
     (policy,) = stored(page)
-    assert f"seed 0: 12.3 (the whole tree {summary['return_mean']:.1f}), pruned tree" in policy["about"]
+    assert policy["verdict"]["return"][0] == 12.34 and "Returns 12.34 ± " in policy["verdict"]["lead"]
     assert policy["export_command"].endswith(f"tree=pruned format=NAME results_dir={tmp_path}/results")
     (figures,) = stored(page, "figures")
     (line,) = figures["leaves"]["MountainCar"]["series"]
@@ -307,6 +358,7 @@ def test_the_command_names_the_file_and_refuses_what_it_cannot_show(tmp_path: Pa
         ([f"run={CAR}", "out=/dev/null/x.html"], "/dev/null/x.html: cannot be written ("),
         (["rnu=a"], "there is no key 'rnu'. Did you mean run"),
         (["results_dir=nowhere"], "there is no finished run"),
+        (["gallery=a", f"run={CAR}"], "it chooses its runs and files"),
         (["run=nowhere/otr"], "nowhere/otr"),
     ):
         done = otr_command("otr-report", *words, cwd=tmp_path)

@@ -12,6 +12,7 @@ import pytest
 
 import otr
 from pipelines.cli.runs import load_config
+from pipelines.report.webpage.gallery import write_gallery
 from pipelines.report.webpage.page import write_results_page, write_run_page
 from pipelines.report.webpage.policy import page_tree, tree_data
 from tests.committed import RESULTS
@@ -90,7 +91,7 @@ def opened(browser: Any) -> Iterator[Any]:
 
 
 def show(window: Any, policy: str) -> None:
-    window.select_option("#choice", policy)
+    window.locator(f"a[data-policy={policy}]").first.click()
     window.evaluate("otr.ready")
 
 
@@ -182,9 +183,16 @@ def test_keys_move_the_state_and_open_a_leaf_and_all_has_a_name(ten: Path, opene
     window.keyboard.press("ArrowRight")
     assert window.evaluate("otr.view.x[0]") == pytest.approx(before + (high - low) / 100)
     visited = window.evaluate("otr.view.episode.leaves[otr.view.episode.length - 1]")
-    window.focus(f"[data-leaf='{visited}']")
+    window.focus(f"[data-ref='{~visited}']")
     window.keyboard.press("Enter")
     assert window.evaluate("otr.view.leaf") == visited
+    window.focus("[data-ref='0']")
+    window.keyboard.press("Enter")  # what a box leaves out is said below the tree
+    whole = window.inner_text("section[aria-label=tree] p[aria-live]")
+    assert (
+        "more" in window.text_content("[data-ref='0'] text:nth-of-type(4)")
+        and whole.count(" + ") + whole.count(" − ") == 8
+    )
     nameless = window.evaluate("""() => {
       const told = (e) => e.labels?.length || e.ariaLabel || e.textContent.trim();
       const named = (e) => told(e) || e.closest("[role=img][aria-label]");
@@ -198,10 +206,10 @@ def test_a_tree_of_thousands_of_leaves_stays_usable(tmp_path: Path, opened: Any)
     folder = RESULTS / "runs" / RUNS[1]
     window = opened(write_run_page([folder], "minimal", tmp_path / "page.html", config_of))
     n_leaves = window.evaluate("otr.view.tree.nLeaves")
-    assert window.evaluate("document.querySelectorAll('rect[data-leaf]').length") == n_leaves > 2000
+    assert window.evaluate("document.querySelectorAll('rect.cell:not(.inner)').length") == n_leaves > 2000
     search, found = window.locator("input[type=search]"), "[...document.querySelectorAll('.found')]"
     search.fill("12")
-    assert window.evaluate(f"{found}.map((cell) => Number(cell.dataset.leaf))") == [11]
+    assert window.evaluate(f"{found}.map((cell) => ~Number(cell.dataset.ref))") == [11]
     search.fill("angle_rate")
     n_found = window.evaluate(f"{found}.length")
     assert n_found > 1000 and f"{n_found} found" in window.inner_text("p:has(> input[type=search])")
@@ -219,17 +227,26 @@ def test_names_are_names_in_the_browser_too(tmp_path: Path, opened: Any, monkeyp
 
     page = write_run_page([RESULTS / "runs" / RUNS[4]], None, tmp_path / "page.html", named)
     window = opened(page)
-    assert evil in window.inner_text("h1") and evil in window.inner_text("label[for=state-0]")
+    assert evil in window.inner_text("#view > p") and evil in window.inner_text("label[for=state-0]")
     assert window.locator("img").count() == 0
 
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_runs_over_the_edge(ten: Path, opened: Any, size: str, scheme: str, tmp_path: Path) -> None:
+def test_nothing_runs_over_the_edge(ten: Path, opened: Any, size: str, scheme: str) -> None:
     window = opened(ten, SIZES[size], color_scheme=scheme)
-    show(window, "policy-0")
-    window.screenshot(path=tmp_path / f"{size}.png", full_page=True)
-    assert window.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+    for i in range(len(RUNS)):
+        show(window, f"policy-{i}")
+        assert window.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+        cut = """() => [...document.querySelectorAll(".tree g")].flatMap((box) => {
+          const [frame, ...texts] = [...box.querySelectorAll("rect, text")].map((e) => e.getBBox());
+          return texts.filter((t) => t.x + t.width > frame.width || t.y + t.height > frame.height + 1);
+        }).length"""
+        assert window.evaluate(cut) == 0
+        n_nodes, edges = window.evaluate("[otr.view.tree.nNodes, document.querySelectorAll('.tree .edge').length]")
+        assert edges in (2 * n_nodes, 0) and (edges == 0) == (n_nodes >= 40 or n_nodes == 0)
+        is_larger = window.evaluate("(({scrollWidth, clientWidth}) => scrollWidth > clientWidth + 1)(otr.view.treeBox)")
+        assert "scroll in it" in window.inner_text(".tree + p") or not is_larger
     assert window.evaluate("getComputedStyle(document.body).backgroundColor") == {
         "light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 28)"}[scheme]  # fmt: skip
 
@@ -246,7 +263,8 @@ def test_tables_sort_and_numbers_open_their_policy(tmp_path: Path, opened: Any) 
       const at = [...tHead.rows[0].cells].findIndex((cell) => cell.textContent.startsWith("OTR (6)"));
       return [...tBodies[0].rows].map((row) => row.cells[at].dataset.value).filter((value) => value).map(Number);
     }"""
-    column.locator("button").click()
+    column.locator("button").focus()
+    window.keyboard.press("Enter")
     values = window.evaluate(order)
     assert values == sorted(values) and len(values) == 2 and column.get_attribute("aria-sort") == "ascending"
     column.locator("button").click()
@@ -254,5 +272,43 @@ def test_tables_sort_and_numbers_open_their_policy(tmp_path: Path, opened: Any) 
     link = window.locator("a[data-policy]").last
     link.click()
     window.evaluate("otr.ready")
-    assert window.input_value("#choice") == link.get_attribute("data-policy")
+    shown = window.locator(".list a[aria-current]")
+    assert shown.get_attribute("data-policy") == link.get_attribute("data-policy")
     assert window.locator("#figure-seconds canvas").count() == 1
+    window.locator(".list thead button", has_text="Return").click()
+    listed = window.eval_on_selector_all(
+        ".list tbody td:nth-child(3)", "all => all.map((e) => Number(e.dataset.value))"
+    )
+    assert listed == sorted(listed) and len(listed) == window.locator("script.policy").count()
+
+
+def test_lines_are_told_apart_without_colour_and_labels_are_steps(ten: Path, opened: Any) -> None:
+    window = opened(ten)
+    show(window, "policy-6")
+    actions, states = window.evaluate("""otr.view.charts.map(({ series, axes, _ }) => series.slice(1).map((each) =>
+      [each.dash.join(), each.label[0], each.value(null, 2)]))""")
+    assert actions[0][2] == "main_engine" and len(actions) == 1
+    assert len(states) == len({dash for dash, _, _ in states}) == len({mark for _, mark, _ in states}) == 8
+    shown = window.evaluate("""() => {
+      const [place, at] = [document.createElement("div"), [0, 1, 2]];
+      document.body.append(place);
+      const lines = Array.from({ length: 12 }, (_, i) => ({ label: `${i}`, values: [i, 1, 2], show: i < 8 }));
+      const chart = addChart(place, { x: "a", y: "b" }, at, lines);
+      chart.setSeries(10, { show: true });
+      return chart.series.map(({ show }, i) => show ? i : 0).filter((i) => i);
+    }""")
+    assert shown == [1, 3, 4, 5, 6, 7, 8, 10]  # the tenth in the place of the second, whose looks it has
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_gallery_is_light_and_its_pages_open(tmp_path: Path, opened: Any, size: str) -> None:
+    index = write_gallery(RESULTS, tmp_path, config_of)
+    window = opened(index, SIZES[size])
+    links = window.eval_on_selector_all(".list a", "all => all.map((link) => link.getAttribute('href'))")
+    assert len(links) == 10 and window.locator(".list img").count() == 10
+    assert window.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+    for link in links:
+        assert (tmp_path / link).stat().st_size < 200_000
+        page = opened(tmp_path / link, SIZES[size])
+        assert page.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+        assert page.inner_text(".lead").startswith("Returns ")

@@ -43,6 +43,7 @@ function addChart(place, { title, x, y, height = 180, log = false, words = null,
   const series = lines.map(({ label, show = true }, i) => ({
     label: `${MARKS[i % MOST_LINES]} ${label}`, stroke: COLOURS[i % MOST_LINES], dash: DASHES[i % MOST_LINES], width: 1.4,
     show, spanGaps: spans, points: { show: false }, ...stepped,
+    value: (_, value) => (value === null || value === undefined ? "–" : words ? words[value] : digits(value)),
   }));
   const chart = new uPlot({
     title, width: widthIn(place), height: words ? Math.max(height, 70 + 20 * words.length) : height,
@@ -53,8 +54,8 @@ function addChart(place, { title, x, y, height = 180, log = false, words = null,
     ],
     series: [{ label: x }, ...series], hooks: { draw: [drawMarks], setSeries: [hideAlike] },
   }, [at, ...lines.map(({ values }) => values)], place);
-  chart.root.setAttribute("role", "group");
-  chart.root.setAttribute("aria-label", `${title ?? y}, over ${x}: ${lines.map(({ label }) => label).join("; ")}`);
+  chart.ctx.canvas.setAttribute("role", "img");
+  chart.ctx.canvas.setAttribute("aria-label", `${title ?? y}, over ${x}: ${lines.map(({ label }) => label).join("; ")}`);
   for (const label of chart.root.querySelectorAll(".u-legend .u-series:not(:first-child) th")) {
     label.tabIndex = 0;
     label.setAttribute("role", "button");

@@ -6,7 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from pipelines.config.trainer import SHRINK
 from pipelines.engine.store import exists, read_csv
 from pipelines.report.cells import DECIMALS, METHOD_NAMES, SOURCE, TASK_NAMES, in_order, summarise, table_runs
 from pipelines.report.frames import load_runs
@@ -36,10 +35,10 @@ def equal_cells(runs: pd.DataFrame, results_dir: Path) -> pd.DataFrame:
     """
     own = table_runs(runs, {"tree": "", "polished": "-polished"})
     is_quick = own["budget"].str.startswith("quick")
-    is_unfinished = (own["trainer"] == SHRINK) & (own["form"] == "tree")  # the imitation before its polish
-    own = own[own["task"].isin(TASKS) & ~is_quick & ~is_unfinished]
-    found = pd.DataFrame([_at_equal_steps(run, results_dir) for run in own.to_dict("records")], own.index)
-    own = own.drop(columns="steps").join(found).dropna(subset="value")
+    own = own[own["task"].isin(TASKS) & ~is_quick]
+    found = [_at_equal_steps(run, results_dir) for run in own.to_dict("records")]
+    own = own.drop(columns="steps").join(pd.DataFrame(found, own.index, ["value", "steps", "how"]))
+    own = own.dropna(subset="value")
     cells = summarise(own, ["task", *LINE[:2], *SOURCE, "how"], "value", steps=("steps", "mean"))
     cells = in_order(cells, ["task", *LINE[:2], *SOURCE]).sort_values("n_runs", key=lambda n: n == 1, kind="stable")
     return in_order(cells.drop_duplicates(["task", *LINE]), ["task", *LINE])

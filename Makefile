@@ -77,6 +77,7 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 
 docs: .venv/.installed-docs  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/otr-report gallery=site/gallery/pages
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -60,7 +60,9 @@ def policy_table(policies: Sequence[Listed]) -> str:
     for each in policies:
         verdict = each.data["verdict"]
         value, text = verdict["return"] or ("", "not evaluated")
-        link = f'href="{escape(each.file)}"' if each.file else f'href="#view" data-policy="{escape(each.key)}"'
+        link = (
+            f'href="{escape(each.file)}" target=_top' if each.file else f'href="#view" data-policy="{escape(each.key)}"'
+        )
         shown = f'<img src="{escape(each.picture)}" alt="an episode" loading=lazy><br>' if each.picture else ""
         cells = [
             f"<td>{escape(each.group)}</td><th scope=row><a {link}>{shown}{escape(each.name)}</a></th>",

@@ -7,7 +7,7 @@ import gzip
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
@@ -52,12 +52,13 @@ OF_MANY = Detail(n_frames=20, frame_width=160, export_bytes=12_000, tree_bytes=3
 
 @dataclass(frozen=True)
 class Shown:
-    """A policy of a page: what it is called, and the run and form whose tree it is."""
+    """A policy of a page: what it is called, the run and form whose tree it is, and a proof that the run lacks."""
 
     name: str
     group: str
     folder: Path
     form: str
+    certificate: Mapping[str, Any] | None = None  # the report of stage certify
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,7 @@ def policies_of(
     progress = progress_lines("page", "policies")
     for i, each in enumerate(shown):
         try:
-            data = policy_data(load_config(each.folder), each.folder, each.form, detail)
+            data = policy_data(load_config(each.folder), each.folder, each.form, detail, each.certificate)
         except PipelineError as error:
             policies.left_out.append(f"{each.group}, {each.name}: {error}")
             continue

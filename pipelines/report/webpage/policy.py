@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,9 @@ class Detail:
     links_run: bool = True
 
 
-def policy_data(run: RunConfig, folder: Path, form: str, detail: Detail) -> dict[str, Any]:
+def policy_data(
+    run: RunConfig, folder: Path, form: str, detail: Detail, certificate: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Return what a page shows of one of a run's trees, as JSON-able data.
 
     Sibling leaves with one answer are merged and leaves are numbered as programs print them: see `page_tree`.
@@ -69,6 +71,7 @@ def policy_data(run: RunConfig, folder: Path, form: str, detail: Detail) -> dict
         run, folder: the run.
         form: of its trees, as `tree_of` names them.
         detail: how much of it.
+        certificate: the report of stage certify, where that was not a stage of the run.
 
     Raises:
         PipelineError: the tree is not there, is held as activation patterns, or is larger.
@@ -116,7 +119,7 @@ def policy_data(run: RunConfig, folder: Path, form: str, detail: Detail) -> dict
         "left_out": [language for language in EXPORTS if language not in programs],
         "export_command": command_for("otr-export", folder, form, "format=NAME"),
         "page_command": command_for("otr-report", folder, form),
-        "verdict": verdict(run, folder, form, tree),
+        "verdict": verdict(run, folder, form, tree, certificate),
     }
 
 

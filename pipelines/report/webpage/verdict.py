@@ -20,6 +20,10 @@ from pipelines.runs.finished_run import results_of
 from pipelines.runs.result import likeness, proof_line
 
 ALPHA = 0.05  # of a difference that a page calls one
+UNPROVED = {  # by whether the tree is a network's
+    True: "Nothing is proved of it; certify=true tries.",
+    False: "It was not made from a network that it could be proved equal to.",
+}
 
 
 @dataclass(frozen=True)
@@ -50,14 +54,16 @@ def returns_of(summary: Mapping[str, Any], form: str, about: str = "") -> Return
     return Returns(float(mean), float(std or 0.0), int(found["n_episodes"]), about)
 
 
-def verdict(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> dict[str, Any]:
-    """Return what a page says of a run's tree before it shows it, as JSON-able data.
+def verdict(
+    run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree, certificate: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return what a page says of a run's tree before it shows it, as JSON-able data; `policy_data` has the arguments.
 
     Returns:
         `lead`: a sentence or two; `rows`: of each policy its name, what it is, its return, leaves and numbers;
         `lines`: how similarly it acts; `proof`; and the numbers of the list of policies.
     """
-    summary = read_summary(folder)
+    summary = read_summary(folder) | ({"certify": certificate} if certificate else {})
     own, numbers = returns_of(summary, form), n_numbers(tree)
     known = best_known(results_of(folder), run.env.name)
     widths = summary.get("oracle", {}).get("hidden_widths")
@@ -76,6 +82,7 @@ def verdict(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> d
                  for each in ((f"this tree ({form})", own, tree.n_leaves, numbers), *others)],
         "lines": _likeness(summary, form),
         "proof": proof(summary, form),
+        "unproved": UNPROVED[run.method.is_mapped],
         "return": None if own is None else [own.mean, str(own)],
         "n_leaves": tree.n_leaves,
         "n_numbers": numbers,

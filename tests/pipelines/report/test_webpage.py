@@ -170,7 +170,7 @@ def test_the_gallery_chooses_by_its_rule_and_has_a_page_each(tmp_path: Path) -> 
     smaller = swimmer[swimmer["pruned_leaves"] < chosen.loc["swimmer", "leaves"]]["return_mean"]
     assert (smaller < 0.95 * swimmer["return_mean"].max()).all()
     index = write_gallery(results_of(tmp_path, CAR, LANDER), tmp_path / "gallery", config_of).read_text()
-    assert re.findall(r'<a href="([^"]+)"', index) == ["mountaincar.html", "lunarlander.html"]
+    assert re.findall(r'<a href="([^"]+)" target=_top', index) == ["mountaincar.html", "lunarlander.html"]
     page = (tmp_path / "gallery/lunarlander.html").read_text()
     (policy,) = stored(page)
     assert policy["form"] == "polished" and policy["folder"] == "" and '<a href="index.html">' in page

@@ -124,7 +124,7 @@ def _likeness(summary: Mapping[str, Any], form: str) -> list[str]:
             f"It acts as the tree that it shortens in {100 * summary['simplify']['fidelity']:.1f} % of states."
         )
     if "oracle" in summary:
-        lines.append(f"{likeness(summary['oracle']).removeprefix('oracle ')}.")
+        lines.append(f"{likeness(summary['oracle']).capitalize()}.")
     return lines
 
 

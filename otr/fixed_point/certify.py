@@ -15,6 +15,7 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.fixed_point.certificate import PARTS, FixedPointCertificate, digest_of
+from otr.fixed_point.leads import ANY_ERROR, LeadChecker, certificate_of_leads
 from otr.fixed_point.parts import (
     answer_ranges,
     head_slopes,
@@ -25,11 +26,10 @@ from otr.fixed_point.parts import (
     test_margins,
     wider_box,
 )
-from otr.fixed_point.pieces import bound_of, certificate_by_pieces
 from otr.fixed_point.slopes import largest_changes
 from otr.proof.certificate import Certificate
 from otr.proof.certify import certify
-from otr.proof.exact_rows import rounded_up
+from otr.proof.exact_rows import TreeAndNetwork, rounded_up
 from otr.proof.verify import verify
 
 Policy = ReluNetwork | PatternTree | ObliqueTree
@@ -52,8 +52,8 @@ def certify_fixed_point(
         fixed: the tree.
         network: the policy; a tree must be the one that was rounded, and is compared except near its tests.
         box: bounded.
-        max_error: refuse a larger error of the coefficients, in outputs before the head; where a bound leaf by leaf is
-            larger, `otr.certify` searches the network's regions, which takes long. None keeps that bound.
+        max_error: refuse a larger error of the coefficients, in outputs before the head; `otr.certify` then searches
+            the network's regions, which takes long. None takes what one piece of the network a leaf leaves.
         max_regions, max_seconds: as for `otr.certify`.
 
     Raises:
@@ -75,7 +75,14 @@ def certify_fixed_point(
         return _completed(fixed, policy, domain, None)
     wider = wider_box(domain, input_roundings(fixed, domain))
     with time_limit(max_seconds, lambda: "no certificate of the rounded tree was found"):
-        inner = _certificate(fixed.to_tree(), policy, wider, max_error, max_regions)
+        allowed = ANY_ERROR if max_error is None else max_error
+        if fixed.labels is None:
+            inner = certify(fixed.to_tree(), policy, wider, max_error=allowed, max_regions=max_regions)
+        elif (inner := certificate_of_leads(fixed.to_tree(), policy, wider)).max_error > allowed:
+            raise CertificateError(
+                f"the tree's label is proved where the network's lead is above {inner.max_error:.6g}, and max_error is "
+                f"{max_error:.6g}: give more bits"
+            )
     return _completed(fixed, policy, domain, inner)
 
 
@@ -96,21 +103,6 @@ def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | Obli
     if ours != theirs:
         raise ValueError(f"the tree has (inputs, outputs, head) {ours}, the policy {theirs}; they must be the same")
     return network
-
-
-def _certificate(
-    tree: ObliqueTree, network: ReluNetwork, box: Domain, max_error: float | None, max_regions: int
-) -> Certificate:
-    """Return the certificate of the rounded coefficients, by pieces or, if that does not do, by a search."""
-    found = certificate_by_pieces(tree, network, box)
-    if max_error is None or found.max_error <= max_error:
-        return found
-    if tree.labels is not None:
-        raise CertificateError(
-            f"the tree's label is proved where the network's lead is above {found.max_error:.6g}, and max_error is "
-            f"{max_error:.6g}: give more bits"
-        )
-    return certify(tree, network, box, max_error=max_error, max_regions=max_regions)
 
 
 def _completed(
@@ -170,7 +162,11 @@ def verify_fixed_point(
         wider = wider_box(box, input_roundings(tree, box))
         if inner is None or (inner.domain.low > wider.low).any() or (inner.domain.high < wider.high).any():
             raise CertificateError("the certificate of the coefficients is missing, or of a smaller box")
-        bound_of(inner, tree.to_tree(), policy, max_seconds=max_seconds)
+        rounded = tree.to_tree()
+        if rounded.labels is None:
+            verify(inner, rounded, policy, max_seconds=max_seconds)
+        else:
+            LeadChecker(TreeAndNetwork(rounded, policy, inner.domain)).run(inner)
     proved = _completed(tree, policy, box, inner)
     if proved != certificate:
         raise CertificateError(f"the certificate claims {certificate}, and what is proved is {proved}")

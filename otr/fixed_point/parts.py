@@ -33,7 +33,9 @@ def input_roundings(fixed: FixedPointTree, box: Domain) -> list[Fraction]:
         nearest = scale / 2 + largest * abs(scale - 1 / t)
         if float(scale) != scale or math.frexp(scale)[0] != 0.5:
             nearest += (largest + 1) * scale * _DIVISION
-        bounds.append(max(nearest, low / t - Fraction(box.low[j]), Fraction(box.high[j]) - high / t))
+        ends, (first, last) = (low / t, high / t), map(Fraction, (box.low[j], box.high[j]))
+        farthest = max(last - ends[0], ends[1] - first)  # of any state and any integer
+        bounds.append(min(max(nearest, ends[0] - first, last - ends[1]), farthest))
     return bounds
 
 
@@ -122,11 +124,13 @@ def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[
 
 
 def leaf_differences(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> tuple[list[Fraction], list[Fraction]]:
-    """Return by how much the maps of a leaf differ, and the rounded one changes by the inputs' rounding: (o,) each."""
+    """Return by how much a leaf's maps differ, and rounded inputs change its value, where the sum is largest: (o,)."""
     exact, rounded, power = _integers(tree.leaf_forms, fixed.to_tree().leaf_forms)
     bounds, steps = Bounds(box, power), np.array(input_roundings(fixed, box), dtype=object)
-    apart = [max(_largest(bounds, form) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
-    return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0) / 2**power)
+    apart = np.array([[_largest(bounds, form) for form in forms] for forms in exact - rounded], dtype=object)
+    changed = abs(rounded[..., :-1]) @ steps / 2**power
+    worst, outputs = (apart + changed).argmax(axis=0), np.arange(fixed.n_outputs)
+    return apart[worst, outputs].tolist(), changed[worst, outputs].tolist()
 
 
 def _integers(exact: FloatArray, rounded: FloatArray) -> tuple[Integers, Integers, int]:

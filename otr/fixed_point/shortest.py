@@ -40,8 +40,8 @@ def to_fixed_point(
         box: the states, bounded; inputs beyond are clamped to its sides.
         bits: of coefficients, inputs and outputs, 2 to 24; None for the fewest, from 4 on, with which `max_error` is
             proved of `network`.
-        input_scales: what 1 of each input stands for (d,), of a sensor or converter; default: the largest |x| of
-            the box over the largest integer of the word.
+        input_scales: what 1 of each input stands for (d,), of a sensor or converter; default: the largest |x| of the
+            box over the largest integer of a word, for each input one with which errors are small, of 2 to `bits` bits.
         output_scales: what 1 of each answer stands for (o,); default: the same of the action's range or, of TanhBox,
             half the range over the word.
         accumulator_bits: 32 or 64.

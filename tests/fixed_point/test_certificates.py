@@ -151,6 +151,21 @@ def test_a_smaller_error_is_searched_for(tmp_path):
         otr.certify_fixed_point(fixed, network, BOX, max_error=0.3 * loose.certificate.max_error)
 
 
+def test_words_of_inputs_have_the_lengths_with_which_the_least_is_proved():
+    names = ["x", "y", "z", "a", "b", "c"]
+    tree = otr.parse_program("100 x - y / 5 + z / 4 + a / 3 - b / 7 + c / 9", names).replace(head=otr.ClipBox(-1, 1))
+    fixed, equal = (otr.to_fixed_point(tree, (-1, 1), input_scales=s) for s in (None, [1 / 32767] * 6))
+    proved, of_equal = (otr.certify_fixed_point(each, tree, (-1, 1)).max_error for each in (fixed, equal))
+    assert proved < 0.4 * of_equal
+    assert fixed.input_high[0] == 32767 and (fixed.input_high < 4096).sum() >= 4
+
+
+def test_an_input_that_hardly_varies_is_hardly_rounded():
+    tree = otr.parse_program("1000 (x - 1)", ["x"])
+    proof = otr.certify_fixed_point(otr.to_fixed_point(tree, ([1], [1 + 1e-7])), tree, ([1], [1 + 1e-7]))
+    assert 1e-4 <= proof.parts["inputs"][0] < 2e-4
+
+
 def test_the_shortest_words_are_those_that_are_proved_and_fewer_are_not():
     tree = otr.minimal_tree(NETWORK, BOX)
     fixed, proof = otr.shortest_fixed_point(tree, NETWORK, BOX, 0.01)

@@ -24,7 +24,7 @@ from otr.fixed_point.tanh_table import tanh_table
 from otr.proof.properties import output_range
 
 Scales = Sequence[float | Fraction | str]
-_MOST_NUMBERS = 2**26  # that the search for the inputs' words rounds
+_MOST_NUMBERS = 2**23  # that the search for the inputs' words rounds
 _EXACT = 52  # bits of sums that are float64 numbers, too, whatever power of two they are multiplied by
 
 

@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import otr
+from otr.fixed_point.leads import certificate_of_leads
 from tests.core.strategies import boundary_states, cases, make_network
 
 BOX = (-2.0, 2.0)
@@ -65,6 +66,19 @@ def test_away_from_its_tests_a_tree_is_as_near_as_is_proved(case, bits, seed):
     if tree.labels is not None:
         assert proof.max_error == 0
     assert_holds(fixed, tree, proof, X)
+
+
+@pytest.mark.parametrize(("layers", "n_outputs"), [((), 3), ((4,), 3), ((3, 2), 1)])
+def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n_outputs):
+    rng, head = np.random.default_rng(3), "argmax" if n_outputs > 1 else "sign"
+    network = make_network(rng, layers, n_inputs=2, n_outputs=n_outputs, head=head)
+    rounded = otr.to_fixed_point(otr.map_network(network), BOX, 5).to_tree()
+    proof = certificate_of_leads(rounded, network, otr.Domain([BOX[0]] * 2, [BOX[1]] * 2))
+    X = rng.uniform(*BOX, (50_000, 2))
+    scores, labels = network.forward(X), rounded.predict(X)
+    scores = np.column_stack((0 * scores, scores)) if n_outputs == 1 else scores
+    seen = (scores.max(axis=1) - scores[np.arange(len(X)), labels]).max()
+    assert 0 < seen <= proof.max_error < 2 * seen
 
 
 NETWORK = make_network(np.random.default_rng(3), (3,), n_inputs=3, head="clip_box")

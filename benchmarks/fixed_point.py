@@ -257,4 +257,4 @@ def _notes(rows: list[Row]) -> list[str]:
     notes = [proved, "Returns are means over the same 20 starts.", machines]
     wrapped = [textwrap.fill(" ".join(f"* {note}".split()), 120, subsequent_indent="  ") for note in notes]
     return ["`python -m benchmarks fixed_point` writes this table: the best committed tree of 2 to 99 leaves, with",
-            "coefficients, inputs and answers of 16 bits.", "", *wrapped]  # fmt: skip
+            "coefficients, inputs and answers of at most 16 bits and sums of 32.", "", *wrapped]  # fmt: skip

@@ -53,7 +53,7 @@ def certify_fixed_point(
         network: the policy; a tree must be the one that was rounded, and is compared except near its tests.
         box: bounded.
         max_error: refuse a larger error of the coefficients, in outputs before the head; `otr.certify` then searches
-            the network's regions, which takes long. None takes what one piece of the network a leaf leaves.
+            the network's regions, which takes long. None takes the bound that few cells give.
         max_regions, max_seconds: as for `otr.certify`.
 
     Raises:

@@ -9,7 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.fixed_point.leads import certificate_of_leads
+from otr.fixed_point.leads import LeadChecker, certificate_of_leads
+from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import boundary_states, cases, make_network
 
 BOX = (-2.0, 2.0)
@@ -79,6 +80,13 @@ def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n
     scores = np.column_stack((0 * scores, scores)) if n_outputs == 1 else scores
     seen = (scores.max(axis=1) - scores[np.arange(len(X)), labels]).max()
     assert 0 < seen <= proof.max_error < 2 * seen
+    checker = LeadChecker(TreeAndNetwork(rounded, network, proof.domain))
+    assert checker.run(proof) == proof.max_error
+    with pytest.raises(otr.CertificateError, match="may differ by"):
+        checker.run(replace(proof, max_error=0.99 * proof.max_error))
+    cells = [replace(cell, outcomes=cell.outcomes.translate(str.maketrans("01", "10"))) for cell in proof.cells]
+    with pytest.raises(otr.CertificateError, match="may differ by"):
+        checker.run(replace(proof, cells=tuple(cells)))
 
 
 NETWORK = make_network(np.random.default_rng(3), (3,), n_inputs=3, head="clip_box")
@@ -142,7 +150,9 @@ def test_a_smaller_claim_or_another_network_is_refused():
     tree = otr.minimal_tree(NETWORK, BOX)
     fixed = otr.to_fixed_point(tree, BOX, 12)
     proof = otr.certify_fixed_point(fixed, NETWORK, BOX)
-    for part in ({"max_errors": (proof.max_error * 0.99,)}, {"certificate": replace(proof.certificate, max_error=0.0)}):
+    parts = proof.parts | {"inputs": (proof.parts["inputs"][0] / 2,)}
+    claims = {"max_errors": (proof.max_error * 0.99,)}, {"parts": parts}
+    for part in (*claims, {"certificate": replace(proof.certificate, max_error=0.0)}):
         with pytest.raises(otr.CertificateError, match=r"claims|leaf"):
             otr.verify(replace(proof, **part), fixed, NETWORK)
     with pytest.raises(otr.CertificateError, match="smaller box"):

@@ -212,7 +212,7 @@ TARGETS = {
                         _ARM_PACKAGES, _ARM_SCRIPT, tick=62.5 / 64),
     "Cortex-M4": Target("arm-none-eabi-", ("-mcpu=cortex-m4", "-mthumb"), _qemu("arm", "mps2-an386"), _ARM,
                         _ARM_PACKAGES, _ARM_SCRIPT, tick=40 / 64),
-    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac_zicsr", "-mabi=ilp32", "-ffreestanding"),
+    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac", "-misa-spec=2.2", "-mabi=ilp32", "-ffreestanding"),
                      (*_qemu("riscv32", "virt")[:-1], "-bios", "none", "-kernel"), _RISCV,
                      "gcc-riscv64-unknown-elf qemu-system-misc",
                      _LINKED.format(flash="0x80000000", ram="0x80100000", entry="start"),

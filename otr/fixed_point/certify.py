@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 
 from otr.clock import time_limit
-from otr.core.arrays import IntArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.network import ReluNetwork
@@ -90,9 +91,7 @@ def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | Obli
     """Return the policy that a tree is compared with; one of another kind, size or head is an error."""
     if isinstance(network, PatternTree):
         if network.is_restricted:
-            raise ValueError(
-                "the PatternTree has some of its network's paths alone; give the network, or its to_tree()"
-            )
+            raise ValueError("the PatternTree has only some of its network's paths; give the network or its to_tree()")
         network = network.network
     if not isinstance(fixed, FixedPointTree) or not isinstance(network, ReluNetwork | ObliqueTree):
         raise TypeError(
@@ -177,24 +176,36 @@ def _refused(
     certificate: FixedPointCertificate, tree: FixedPointTree, policy: ReluNetwork | ObliqueTree
 ) -> CertificateError:
     """Return the refusal of a changed tree, with the state that contradicts the claim most, if one is found."""
-    box, rng = certificate.box, np.random.default_rng(0)
+    reason = "the certificate is of another FixedPointTree"
+    excess, state = largest_excess(tree, policy, certificate.box, certificate.max_errors, certificate.margins)
+    if excess <= 0:
+        return CertificateError(f"{reason}; no state was found that contradicts its claim: certify the tree again")
+    return CertificateError(
+        f"{reason}, and its claim fails at the state {state.tolist()}: the integers answer "
+        f"{tree.predict(state).tolist()}, the policy {policy.predict(state).tolist()}, and "
+        f"{certificate.max_error:.6g} is claimed",
+        state=tuple(map(Fraction, state.tolist())),
+    )
+
+
+def largest_excess(
+    tree: FixedPointTree,
+    policy: ReluNetwork | ObliqueTree,
+    box: Domain,
+    max_errors: Sequence[float],
+    margins: Sequence[float] | None = None,
+) -> tuple[float, FloatArray]:
+    """Return by how much an answer is farther from the policy's than is allowed, and where, of some states of a box."""
+    rng = np.random.default_rng(0)
     shares = rng.random((_N_STATES, tree.n_inputs))
     states = box.low + np.concatenate((shares, np.rint(shares))) * (box.high - box.low)
     ours, theirs = tree.predict(states), policy.predict(states)
     if tree.head.gives_labels:
         outputs = np.sort(np.column_stack((0 * states[:, : tree.n_outputs == 1], policy.forward(states))), axis=1)
-        excess = np.where(ours != theirs, outputs[:, -1] - outputs[:, -2:][:, 0] - certificate.max_error, -1.0)
+        excess = np.where(ours != theirs, outputs[:, -1] - outputs[:, -2:][:, 0] - max(max_errors), -1.0)
     else:
-        excess = (np.abs(ours - theirs) - certificate.max_errors).max(axis=1)
-    if certificate.margins is not None and isinstance(policy, ObliqueTree):
-        excess[(np.abs(states @ policy.P.T + policy.v) <= certificate.margins).any(axis=1)] = -1.0
+        excess = (np.abs(ours - theirs) - max_errors).max(axis=1)
+    if margins is not None and isinstance(policy, ObliqueTree):
+        excess[(np.abs(states @ policy.P.T + policy.v) <= margins).any(axis=1)] = -1.0
     worst = int(excess.argmax())
-    reason, state = "the certificate is of another FixedPointTree", states[worst]
-    if excess[worst] <= 0:
-        return CertificateError(f"{reason}; no state was found that contradicts its claim: certify the tree again")
-    return CertificateError(
-        f"{reason}, and its claim fails at the state {state.tolist()}: the integers answer "
-        f"{np.asarray(ours[worst]).tolist()}, the policy {np.asarray(theirs[worst]).tolist()}, and "
-        f"{certificate.max_error:.6g} is claimed",
-        state=tuple(map(Fraction, state.tolist())),
-    )
+    return float(excess[worst]), states[worst]

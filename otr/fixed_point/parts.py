@@ -19,7 +19,7 @@ from otr.core.heads import TanhBox
 from otr.core.tree import ObliqueTree
 from otr.fixed_point.tanh_table import table_error
 from otr.geometry.rational import Integers, common_integers, integers
-from otr.proof.exact_rows import Bounds
+from otr.proof.exact_rows import Bounds, rounded_up
 
 _DIVISION = Fraction(1, 2**51)  # relative, by which x / scale may be off in float64
 
@@ -41,16 +41,9 @@ def input_roundings(fixed: FixedPointTree, box: Domain) -> list[Fraction]:
 
 def wider_box(box: Domain, roundings: list[Fraction]) -> Domain:
     """Return the box with all that its states are rounded to."""
-    low, high = (side.tolist() for side in (box.low, box.high))
-    return Domain(
-        [_at_most(Fraction(x) - step) for x, step in zip(low, roundings, strict=True)],
-        [-_at_most(-Fraction(x) - step) for x, step in zip(high, roundings, strict=True)],
-    )
-
-
-def _at_most(value: Fraction) -> float:
-    nearest = float(value)
-    return nearest if Fraction(nearest) <= value else math.nextafter(nearest, -math.inf)
+    sides = (zip(side.tolist(), roundings, strict=True) for side in (-box.low, box.high))
+    low, high = ([rounded_up(Fraction(x) + step) for x, step in side] for side in sides)
+    return Domain([-x for x in low], high)
 
 
 def head_slopes(fixed: FixedPointTree) -> list[Fraction]:
@@ -93,9 +86,8 @@ def table_errors(fixed: FixedPointTree) -> list[Fraction]:
 def answer_ranges(head: Head, n_outputs: int) -> list[Fraction] | None:
     """Return the widths of the actions' ranges, (o,); None without limits."""
     limits = head.limits(n_outputs)
-    if limits is None:
-        return None
-    return [Fraction(high) - Fraction(low) for low, high in np.transpose(limits).tolist()]
+    pairs = None if limits is None else np.transpose(limits).tolist()
+    return None if pairs is None else [Fraction(high) - Fraction(low) for low, high in pairs]
 
 
 def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[Fraction]:

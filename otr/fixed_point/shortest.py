@@ -8,11 +8,12 @@ from typing import Any
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.heads import Identity
+from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import CertificateError, InvalidTreeError
 from otr.fixed_point.certificate import FixedPointCertificate
-from otr.fixed_point.certify import Policy, certify_fixed_point
+from otr.fixed_point.certify import Policy, certify_fixed_point, checked_policy, largest_excess
 from otr.fixed_point.parts import answer_ranges
 from otr.fixed_point.rounding import Scales, round_tree
 from otr.proof.properties import output_range
@@ -61,11 +62,8 @@ def to_fixed_point(
         (array([[16],
                [48]]), array([0.5]))
     """
-    given: dict[str, Any] = {
-        "input_scales": input_scales,
-        "output_scales": output_scales,
-        "accumulator_bits": accumulator_bits,
-    }
+    given: dict[str, Any] = {"input_scales": input_scales, "output_scales": output_scales}
+    given["accumulator_bits"] = accumulator_bits
     if bits is not None:
         if max_error is not None or network is not None:
             raise ValueError("max_error and network choose the bits: give bits=None, or leave them out")
@@ -99,9 +97,13 @@ def shortest_fixed_point(
         except InvalidTreeError as error:
             reason = error
             continue
-        proof = certify_fixed_point(fixed, tree if network is None else network, domain)
-        widths = _widths(fixed, tree, domain)
-        if all(error <= max_error * width for error, width in zip(proof.max_errors, widths, strict=True)):
+        policy = checked_policy(fixed, tree if network is None else network)
+        allowed = [max_error * width for width in _widths(fixed, tree, domain)]
+        if isinstance(policy, ReluNetwork) and largest_excess(fixed, policy, domain, list(map(float, allowed)))[0] > 0:
+            reason = f"with {bits} bits an answer is off by more"
+            continue
+        proof = certify_fixed_point(fixed, policy, domain)
+        if all(error <= most for error, most in zip(proof.max_errors, allowed, strict=True)):
             return fixed, proof
         reason = f"with {bits} bits it is {proof}"
     raise CertificateError(f"no words of {_LEAST_BITS} to {_MOST_BITS} bits are proved to {max_error:g}: {reason}")

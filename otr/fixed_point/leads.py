@@ -13,6 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
@@ -38,12 +39,11 @@ def certificate_of_leads(tree: ObliqueTree, network: ReluNetwork, domain: Domain
         centres = np.clip(domain.unscaled(balls.centres), domain.low, domain.high)
         outcomes = _outcomes(network, tree.labels[leaves], centres)  # type: ignore[index]
         for leaf, radius, of_leaf in zip(leaves.tolist(), balls.radii.tolist(), outcomes, strict=True):
+            check_time()
             point = decide_in(pair, pair.rows_of_leaf(leaf)) if radius == 0 else ()
             if isinstance(point, tuple):
-                unproved = Cell(
-                    leaf, "".join("1" if bit else "0" for bit in of_leaf), (), (Sum((), ()),) * pair.n_tests
-                )
-                cells.append(with_smallest_bounds(pair, unproved)[0])
+                text = "".join("1" if bit else "0" for bit in of_leaf)
+                cells.append(with_smallest_bounds(pair, Cell(leaf, text, (), (Sum((), ()),) * pair.n_tests))[0])
             else:
                 cells.append(Cell(leaf, "", (), empty=as_sum(point)))
     found = Certificate(domain, ANY_ERROR, tree.n_leaves, tree.n_leaves * (1 + pair.n_tests), tuple(cells))

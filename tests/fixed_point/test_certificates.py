@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import otr
+from otr.clock import time_limit
 from otr.fixed_point.leads import LeadChecker, certificate_of_leads
 from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import boundary_states, cases, make_network
@@ -80,6 +81,8 @@ def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n
     scores = np.column_stack((0 * scores, scores)) if n_outputs == 1 else scores
     seen = (scores.max(axis=1) - scores[np.arange(len(X)), labels]).max()
     assert 0 < seen <= proof.max_error < 2 * seen
+    with pytest.raises(otr.TimeLimitError), time_limit(0.0, lambda: ""):
+        certificate_of_leads(rounded, network, proof.domain)
     checker = LeadChecker(TreeAndNetwork(rounded, network, proof.domain))
     assert checker.run(proof) == proof.max_error
     with pytest.raises(otr.CertificateError, match="may differ by"):

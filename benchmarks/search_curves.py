@@ -21,7 +21,7 @@ from pipelines.cli.runs import load_config
 from pipelines.config.algo import SacConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.report import load_runs
-from pipelines.report.figures.style import COLOURS, NORMAL, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures.style import COLOURS, NORMAL, SMALL, figure_of_panels, legend_line, set_legend
 from pipelines.training.estimates import learning_starts
 
 if TYPE_CHECKING:
@@ -92,12 +92,13 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> "Figure":
     colours = dict(zip(dict.fromkeys(curves["label"]), itertools.cycle(COLOURS), strict=False))
     costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
     ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
-    names = pd.DataFrame({"panel": costs.values()})
-    figure, panels = figure_of_panels(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
+    names = pd.DataFrame({"panel": ["by steps", "by time"]})
+    figure, panels = figure_of_panels(names, 2, 2, ("", "return of the best policy so far"), len(colours), share=(False, True))
     for panel, cost in zip(panels, costs, strict=True):
         for label, colour in colours.items():
             _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
         panel.set_xscale("log")
+        panel.set_xlabel(f"{costs[cost]} (log scale)", fontsize=SMALL)
         panel.xaxis.set_major_locator(LogLocator(subs=ticks[cost]))
         panel.xaxis.set_minor_formatter(NullFormatter())
         for axis in (panel.xaxis, panel.yaxis):

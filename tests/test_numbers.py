@@ -69,10 +69,13 @@ def test_means_and_spreads_on_a_page_are_of_committed_results(page, spreads):
 
 def test_the_note_under_table_4_1_names_the_tasks_whose_actors_are_dense():
     cells = pd.read_csv(RESULTS / "tables/table_4_1.csv").query("table == '4.1' and method == 'otr'")
-    found = {True: set(), False: set()}
-    for cell in cells.itertuples():
-        for run in (RESULTS / f"runs/{cell.task}/otr/depth-{cell.depth}/{cell.budget}").glob("seed-?"):
-            found["dense: input" in read_bytes(run / "config.yaml").decode()].add(cell.task)
+    dense, layered, shrunk_tasks = set(), set(), set()
+    shrunk = cells["trainer"] == "shrink"
+    for cell in cells.assign(folder=np.where(shrunk, "distilled_otr", "otr")).itertuples():
+        for run in (RESULTS / f"runs/{cell.task}/{cell.folder}/depth-{cell.depth}/{cell.budget}").glob("seed-?"):
+            is_dense = "dense: input" in read_bytes(run / "config.yaml").decode()
+            assert is_dense or cell.trainer != "shrink"
+            (shrunk_tasks if cell.trainer == "shrink" else dense if is_dense else layered).add(cell.task)
+    assert not dense & layered
     named = re.search(r"OTR: on (.*) a linear map", (RESULTS / "tables/table_4_1.md").read_text())[1]
-    assert re.split(", | and ", named.lower()) == [task for task in TASKS if task in found[True]]
-    assert not found[True] & found[False]
+    assert re.split(", | and ", named.lower()) == [task for task in TASKS if task in (dense | shrunk_tasks) - layered]

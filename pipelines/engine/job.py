@@ -7,7 +7,7 @@ import shlex
 import sysconfig
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,9 +71,9 @@ class Job(ABC):
 J = TypeVar("J", bound=Job)
 
 
-def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
+def do_stage(job: Job, stage: Stage, derive: Derive | None = None, needed: Collection[str] = ()) -> None:
     """Bring a stage of a job up to date, write the job's config.yaml, and print how long the stage took."""
-    result = run_stage(stage, job.run_dir, job.config, job.command, derive)
+    result = run_stage(stage, job.run_dir, job.config, job.command, derive, needed)
     if not exists(job.run_dir / CONFIG):
         write_text(job.run_dir / CONFIG, job.config_yaml)
     print(f"{stage.name}: {'done before' if result.skipped else duration(result.seconds)}", flush=True)

@@ -7,7 +7,7 @@ done, waits where another process is making it, writes into a temporary folder, 
 import operator
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -50,7 +50,8 @@ class Stage:
     # Prints, for the settings of runs that are made together, how long that takes; raises where it is impossible
     announce: Callable[[Sequence[Any]], None] | None = None
     seconds_left: Callable[[Any], float] | None = None  # the likely time of what is not done yet, on one core
-    check: Callable[[Any], None] | None = None  # raises, before any stage of the job, where this one cannot be done
+    # The files that it needs of the result that another job makes for this one, though archives leave them out
+    needs: Callable[[Any], Collection[str]] | None = None
     # `run` for several jobs at once: returns what each failed with, or None
     together: Callable[[Sequence[Inputs], Sequence[Any], Sequence[Path]], Sequence[Exception | None]] | None = None
     is_of_other_job: bool = False  # it refers to what another job makes, which is done before
@@ -104,9 +105,16 @@ class StageResult:
 
 
 def run_stage(
-    stage: Stage, run_dir: Path, config: Any, rerun_command: str, derive: Derive | None = None
+    stage: Stage,
+    run_dir: Path,
+    config: Any,
+    rerun_command: str,
+    derive: Derive | None = None,
+    needed: Collection[str] = (),
 ) -> StageResult:
     """Bring a stage's result up to date; `rerun_command` does all stages, `derive` makes what archives leave out.
+
+    A result that is kept without one of the `needed` files is made again, in its place.
 
     Raises:
         MissingInputError: an input stage has not been done; names the command that does it.
@@ -114,13 +122,15 @@ def run_stage(
         PipelineError: an input or the finished folder was damaged.
     """
     inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
-    result = _found_or_made(stage, run_dir, config, inputs, derive)
+    result = _found_or_made(stage, run_dir, config, inputs, derive, needed)
     if stage.checkpoints:  # only now that the result is in its place
         shutil.rmtree(stage.checkpoints(stage.of(config), inputs), ignore_errors=True)
     return result
 
 
-def _found_or_made(stage: Stage, run_dir: Path, config: Any, inputs: Inputs, derive: Derive | None) -> StageResult:
+def _found_or_made(
+    stage: Stage, run_dir: Path, config: Any, inputs: Inputs, derive: Derive | None, needed: Collection[str]
+) -> StageResult:
     """Return a stage's result: the one in its folder, a sibling run's, or a new one."""
     wanted = stage_key(stage, config, inputs)
     folder = run_dir / stage.name
@@ -128,13 +138,13 @@ def _found_or_made(stage: Stage, run_dir: Path, config: Any, inputs: Inputs, der
         status = stage_status(stage, folder, config, wanted)
         if status == "other settings":
             raise _other_settings(stage, folder, config)
-        if status == "done":
+        if status == "done" and has_files(folder, needed):
             manifest = verified_manifest(folder)
             return StageResult(folder, skipped=True, seconds=manifest["seconds"])
         # Runs that differ in later stages alone share this result: one of them makes it, the others take it over.
         with _lock(_result_lock(config, stage, wanted), f"another run is making the {stage.name} of {run_dir}"):
             twin = _twin(run_dir, stage.name, wanted)
-            if twin is not None:
+            if twin is not None and has_files(twin, needed):
                 _copy_twin(twin, folder, derive)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
             for name in stage.inputs:
@@ -206,6 +216,11 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
         return "other settings"
     current = manifest["version"] == stage.version_of(config) if wanted is None else manifest["key"] == wanted
     return "done" if current else "stale"
+
+
+def has_files(folder: Path, names: Collection[str]) -> bool:
+    """Return whether files of a stage are there, in its folder or packed."""
+    return all(exists(folder / name) for name in names)
 
 
 def _origin() -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from pipelines.config.methods import METHODS
+from pipelines.config.trainer import SHRINK
 from pipelines.report.published import Published, best_published, published
 from pipelines.report.statistics import mean_interval
 from pipelines.runs.below_random import random_returns
@@ -33,7 +34,7 @@ METHOD_NAMES[ORACLE] = "Oracle"
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 # fmt: off
 # Of tasks, budgets and trainers: those of the thesis's algorithms before searches
-ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-fleet", "standard-shrink", "standard-ars",
+ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-shrink", "standard-fleet", "standard-ars",
          "quick", "quick-fleet", "quick-ars", "sb3")
 # fmt: on
 DECIMALS = 6  # of a CSV file's means and deviations: more would show how a platform adds up
@@ -57,7 +58,8 @@ def table_runs(runs: pd.DataFrame, forms: Mapping[str, str] = FORMS) -> pd.DataF
     """Return the runs of control tables, a row for each of these forms, from `load_runs`, its order kept.
 
     Versions of a task's environment (env=hopper_v5) are left out. OTR of depth 0 is the linear policy; where both names
-    hold a seed it counts once.
+    hold a seed it counts once. A shrunk policy has the name of what it is, OTR or experts, and the imitation that its
+    training begins with has no row.
     """
     return _in_tables(reported(runs), [], forms)
 
@@ -86,9 +88,15 @@ def changes_but_oracle(runs: pd.DataFrame) -> "pd.Series[str]":
 
 
 def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the oracles of the runs in `table_runs`, in the same form: one a task, budget, trainer and seed."""
+    """Return the oracles of the runs in `table_runs`, in the same form: one a task, budget, trainer and seed.
+
+    Those of shrunk policies are a fleet's.
+    """
     own = reported(runs)
     own = own[(own["env"] == own["task"]) & (own["form"] == ORACLE)].assign(method=ORACLE, depth="")
+    own = own.assign(
+        budget=own["budget"].str.replace("-shrink", "-fleet"), trainer=own["trainer"].replace(SHRINK, "fleet")
+    )
     return own.drop_duplicates([*KEY, *SOURCE, "seed"])
 
 
@@ -109,8 +117,11 @@ def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
 def _in_tables(own: pd.DataFrame, further_keys: list[str], forms: Mapping[str, str] = FORMS) -> pd.DataFrame:
     own = own[(own["env"] == own["task"]) & own["form"].isin(forms)]
     linear = (own["method"] == "otr") & (own["depth"] == "0")
-    own = own.assign(
-        method=method_name(own["method"].mask(linear, "linear")) + own["form"].map(forms),
+    names = method_name(own["method"].mask(linear, "linear")) + own["form"].map(forms)
+    is_shrunk = own["trainer"] == SHRINK
+    shrunk = names.str.removeprefix("distilled-").str.removesuffix(FORMS["polished"])
+    own = own[~is_shrunk | (own["form"] == "polished")].assign(
+        method=names.mask(is_shrunk, shrunk),
         pruned_depth=own["pruned_depth"].where(own["form"] == "tree"),
     )
     return own.drop_duplicates([*KEY, *SOURCE, *further_keys, "seed"])

@@ -11,6 +11,7 @@ from pipelines.engine.store import SUMMARY, exists
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
 from pipelines.report.comparisons import write_comparisons
+from pipelines.report.equal_steps import write_equal_steps
 from pipelines.report.figures.figure_4_6 import budget_of_runs, write_figure_4_6
 from pipelines.report.figures.figure_4_7 import write_figure_4_7
 from pipelines.report.figures.numbers import write_numbers
@@ -23,7 +24,7 @@ from pipelines.report.text import page, write_tables
 FIGURES_OF_A_BUDGET = ("4.6", "4.7")
 FIGURES = (*FIGURES_OF_A_BUDGET, "profile", "numbers")
 FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.figures.run_figures` writes them
-ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "numbers", "4.1")
+ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "equal_steps", "profile", "numbers", "4.1")
 
 
 def reports_of(asked: str) -> tuple[str, ...]:
@@ -85,6 +86,7 @@ TABLES: dict[str, Callable[[Path], list[Path]]] = {
     "4.2": write_table_4_2,
     "certificates": write_certificates,
     "comparisons": write_comparisons,
+    "equal_steps": write_equal_steps,
     "runs": write_runs,
     "fits": write_fits,
 }

@@ -1,12 +1,12 @@
 """What a sweep would do: run, resume or skip for every job, and the time left."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import counted, duration
 from pipelines.engine.job import has_summary
-from pipelines.engine.stage import Stage, stage_key, stage_status
+from pipelines.engine.stage import Stage, has_files, stage_key, stage_status
 from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import PipelineError
@@ -33,8 +33,8 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
     if "train" in left:
         done = trained_steps(TRAIN.of(job.config))
         return (f"resume at step {done:,}" if done else "run") + polished, seconds
-    if job.oracle and "oracle" in left:
-        what, oracle_seconds = _oracle_plan(job.oracle, planned)
+    if job.oracle and job.lacks_oracle:
+        what, oracle_seconds = _oracle_plan(job.oracle, planned, job.needed)
         return f"run, {what}{polished}", seconds + oracle_seconds
     return f"run {', '.join(left)}", seconds
 
@@ -48,10 +48,11 @@ def _status(job: RunJob, stage: Stage) -> str:
     return stage_status(stage, job.run_dir / stage.name, job.config, wanted)
 
 
-def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
+def _oracle_plan(oracle: RunJob, planned: set[str], needed: Collection[str]) -> tuple[str, float]:
     """Return what becomes of a job's oracle and the seconds that it takes; jobs that share one train it once."""
     name, stage = oracle.folder.removeprefix("runs/"), oracle.stages[0]
-    if stage_status(stage, oracle.run_dir / stage.name, oracle.config) == "done":
+    folder = oracle.run_dir / stage.name
+    if stage_status(stage, folder, oracle.config) == "done" and has_files(folder, needed):
         return f"oracle {name} is there", 0.0
     if not oracle.config.is_trained:
         return f"import oracle {name}", 0.0

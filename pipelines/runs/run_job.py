@@ -1,7 +1,7 @@
 """Doing runs: the stages of each in order, and those that several runs make together."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
@@ -16,7 +16,7 @@ from pipelines.engine.job import (
     write_config,
     write_summary,
 )
-from pipelines.engine.stage import Stage, run_stage_together, stage_status
+from pipelines.engine.stage import Stage, has_files, run_stage_together, stage_status
 from pipelines.engine.store import read_json
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
@@ -47,6 +47,21 @@ class RunJob(Job):
         """Return a job for which, as for its oracle's, others share its terminal and its cores."""
         oracle = self.oracle.side_by_side() if self.oracle else None
         return dataclasses.replace(super().side_by_side(), oracle=oracle)
+
+    @property
+    def needed(self) -> set[str]:
+        """The files that its stages need of the oracle's actor, though archives leave them out."""
+        return {name for stage in self.stages if stage.needs for name in stage.needs(stage.of(self.config))}
+
+    @property
+    def lacks_oracle(self) -> bool:
+        """Whether its oracle has to be trained or imported, again where it is kept without a file that is needed."""
+        if self.oracle is None:
+            return False
+        refers = any(
+            s.is_of_other_job and stage_status(s, self.run_dir / s.name, self.config) != "done" for s in self.stages
+        )
+        return refers or not has_files(self.oracle.run_dir / self.oracle.stages[0].name, self.needed)
 
     def found_done(self) -> None:
         """Log the run where it is tracked: tracking may have been added later."""
@@ -101,23 +116,25 @@ def _is_missing(stage: Stage, job: RunJob) -> bool:
     return stage_status(stage, job.run_dir / stage.name, job.config) == "missing"
 
 
-def _run_stages(job: RunJob) -> dict[str, Any] | None:
+def _run_stages(job: RunJob, needed: Collection[str] = ()) -> dict[str, Any] | None:
+    """Do the missing stages of a run; of an oracle's, the first again where it is kept without a `needed` file."""
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
-    for stage in job.stages:
-        if stage.check:
-            stage.check(stage.of(config))
     run_dir.mkdir(parents=True, exist_ok=True)
     for stage in job.stages:
-        if stage.is_of_other_job and job.oracle and stage_status(stage, run_dir / stage.name, config) != "done":
-            _run_stages(job.oracle)
+        if stage.is_of_other_job and job.oracle and job.lacks_oracle:
+            _run_stages(job.oracle, job.needed)
             print(f"{run_dir}", flush=True)
-        if stage.announce and _is_missing(stage, job):
+        is_missing = _is_missing(stage, job)
+        if not is_missing and not has_files(run_dir / stage.name, needed):
+            print(f"{stage.name}: kept without {', '.join(sorted(needed))}, as archives are; done again", flush=True)
+            is_missing = True
+        if stage.announce and is_missing:
             stage.announce([stage.of(config)])
         if stage.checkpoints:
             write_config(job)
         try:
-            do_stage(job, stage, partial(derive, config))
+            do_stage(job, stage, partial(derive, config), needed)
         except ConfigError:
             withdraw_config(job)
             raise

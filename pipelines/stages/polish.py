@@ -228,11 +228,10 @@ def critics_folder(settings: PolishStageSettings) -> Path:
     return Path(settings.results_dir) / settings.actor_folder
 
 
-def check_critics(settings: PolishStageSettings) -> None:
-    """Raise PipelineError where critics are to polish a run that their finished training no longer has."""
+def needed_critics(settings: PolishStageSettings) -> tuple[str, ...]:
+    """Return the file of critics where these are to polish a run."""
     is_polished = exists(Path(settings.results_dir) / settings.folder / "polish" / MANIFEST)
-    if not is_polished and exists(_manifest(settings)) and polishes_by(settings) == "critic":
-        load_critics(critics_folder(settings))
+    return (CRITICS,) if not is_polished and polishes_by(settings) == "critic" else ()
 
 
 def polishes_by(settings: PolishStageSettings) -> str:
@@ -345,5 +344,5 @@ def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
 # Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 POLISH = Stage(
     "polish", version=episodes_version, inputs=(), keyed=and_names(polish_keys), run=polish,
-    settings=PolishStageSettings, announce=announce_polish, seconds_left=estimated_seconds, check=check_critics,
+    settings=PolishStageSettings, announce=announce_polish, seconds_left=estimated_seconds, needs=needed_critics,
 )  # fmt: skip

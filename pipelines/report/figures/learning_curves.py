@@ -95,6 +95,20 @@ def _rows_of_polish(run_dir: Path, summary: Mapping[str, Any]) -> list[dict[str,
     ]
 
 
+def curve_rows(curves: pd.DataFrame) -> pd.DataFrame:
+    """Return curves as `load_curves` does in long form: env, method, depth, budget, seed, step, unit, metric, value.
+
+    The metrics are `return_mean` and, where it is kept, `return_std`, both over the episodes that chose the policy.
+    """
+    place = [Path(run).parts[-5:] for run in curves["run"]]
+    rows = pd.DataFrame(place, columns=["env", "method", "depth", "budget", "seed"]).assign(
+        step=curves["spent"].astype(int), unit=curves["unit"], return_mean=curves["mean"], return_std=curves["std"]
+    )
+    for name in ("depth", "seed"):
+        rows[name] = rows[name].str.removeprefix(f"{name}-")
+    return rows.melt([*rows.columns[:7]], var_name="metric").dropna(subset="value")
+
+
 def learning_curves(curves: pd.DataFrame) -> Figure:
     """Return a figure of the return against what was spent on it, a panel for each environment.
 

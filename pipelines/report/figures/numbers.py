@@ -18,11 +18,10 @@ from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import DECIMALS, KEY, TASK_NAMES, in_order, normalised, table_runs
 from pipelines.report.figures.style import (
-    COLOURS,
     DOTS,
     GREY,
     INK,
-    MARKERS,
+    OF_METHODS,
     SMALL,
     figure_of_panels,
     legend_line,
@@ -89,10 +88,7 @@ def draw_numbers(points: pd.DataFrame) -> Figure:
     axes = ("numbers in the written tree (log scale)", "return, 0 random, 1 thesis's best")
     names = points.assign(panel=points["task"].replace(TASK_NAMES))
     figure, panels = figure_of_panels(names, 3, 3, axes, 2, (True, True))
-    styles = {
-        name: {"color": colour, "marker": marker, "markersize": size}
-        for name, colour, (marker, size) in zip(SERIES, (INK, *reversed(COLOURS)), reversed(MARKERS), strict=True)
-    }
+    styles = {name: OF_METHODS[label] for name, label in SERIES.items()}
     most = float(points["written_numbers"].max())
     for panel, (_, own) in zip(panels, points.groupby("task", sort=False), strict=True):
         _draw_panel(panel, own, styles, most)

@@ -17,7 +17,7 @@ import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, normalised, table_runs
-from pipelines.report.figures.style import COLOURS, DASHES, MARKERS, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures.style import DASHES, OF_METHODS, figure_of_panels, legend_line, set_legend
 from pipelines.report.statistics import performance_profile, profile_band, stratified_iqm
 from pipelines.report.table_4_1 import COLUMNS as COLUMNS_OF_TABLE
 from pipelines.report.table_4_1 import TASKS, make_cells
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 POLICIES = pd.DataFrame(COLUMNS_OF_TABLE, columns=KEY[1:])
 MIN_TASKS = 3
+LARGE = ("otr", "32")
 OF_POLICY = ["method", "depth", "n_runs", "n_tasks", "tasks"]
 COLUMNS = [*OF_POLICY, "threshold", "share", "share_low", "share_high"]
 COLUMNS_OF_MEANS = [*OF_POLICY, "iqm", "ci_low", "ci_high"]
@@ -101,10 +102,12 @@ def draw_profiles(means: pd.DataFrame, lines: pd.DataFrame) -> Figure:
     policies = list(lines.groupby(["method", "depth"], sort=False))
     # Every other line is dashed and lies above the solid ones, so that two that fall together are both seen.
     styles: dict[Any, dict[str, Any]] = {
-        policy: {"color": colour, "linestyle": (DASHES, "-")[i % 2], "zorder": 3 - i % 2, "linewidth": 1.2,
-                 "marker": marker, "markersize": size - 0.5, "markeredgecolor": "white", "markeredgewidth": 0.5}
-        for i, ((policy, _), colour, (marker, size)) in enumerate(zip(policies, COLOURS, MARKERS, strict=False))
+        policy: {"linestyle": (DASHES, "-")[i % 2], "zorder": 3 - i % 2, "linewidth": 1.2, "markeredgecolor": "white",
+                 "markeredgewidth": 0.5, **OF_METHODS[METHOD_NAMES[policy[0]]]}
+        for i, (policy, _) in enumerate(policies)
     }  # fmt: skip
+    if LARGE in styles:  # as OTR (6), but hollow
+        styles[LARGE] |= {"markerfacecolor": "white", "markeredgecolor": styles[LARGE]["color"], "markeredgewidth": 1.2}
     names = []
     for place, mean in enumerate(means.sort_values("iqm").itertuples()):
         style = styles[mean.method, mean.depth]

@@ -11,9 +11,10 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.store import ARCHIVE, CONFIG, exists
 from pipelines.errors import ConfigError
 from pipelines.play.printed_programs import names_of_env
-from pipelines.report.figures.learning_curves import learning_curves, load_curves
+from pipelines.report.figures.learning_curves import curve_rows, learning_curves, load_curves
 from pipelines.report.figures.leaves_kept import load_leaves, return_against_leaves
 from pipelines.report.figures.regions import chosen_inputs, draw_regions
+from pipelines.report.text import csv_text, write_file
 from pipelines.runs.finished_run import (
     check_run,
     find_folder,
@@ -39,9 +40,13 @@ class RunFigure:
 
 
 def write_curves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
-    """Write the learning curves of runs, or of all runs below folders, as PNG, or as what `out` ends in."""
+    """Write the learning curves of runs, or of all runs below folders, as a picture and as CSV, or as CSV alone."""
     curves = load_curves(runs_below(asked.run, results_dir))
-    return _written(learning_curves(curves), "curves", asked, results_dir)
+    table = csv_text(curve_rows(curves))
+    if asked.out and asked.out.endswith(".csv"):
+        return [write_file(Path(asked.out), table)]
+    (picture,) = _written(learning_curves(curves), "curves", asked, results_dir)
+    return [picture, write_file(picture.with_suffix(".csv"), table)]
 
 
 def write_leaves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:

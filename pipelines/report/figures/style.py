@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,15 @@ MOST_TICKS = 6
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 MARKERS = (("o", 5.5), ("s", 5.0), ("^", 6.0), ("D", 5.0), ("v", 6.0), ("<", 6.0), (">", 6.0), ("p", 6.5))  # and sizes
 GREY, INK = "#666666", "#1a1a1a"
+# A method has its colour and its marker in every figure.
+OF_METHODS = {
+    label: {"color": colour, "marker": marker, "markersize": size}
+    for label, colour, (marker, size) in zip(
+        ("OTR", "OTR, distilled", "Experts", "π-PRL", "NDPS", "LM-VIPER", "VIPER", "Linear"),
+        (*COLOURS, INK), MARKERS, strict=True,
+    )
+}  # fmt: skip
+OF_METHODS["AugTree"] = OF_METHODS["Experts"]  # no figure has both
 DASHES, DOTS, HOLLOW_LARGER = (0, (5, 3)), (0, (1, 2)), 3  # points
 
 Styles = dict[str, dict[str, Any]]
@@ -130,12 +140,24 @@ def figure_of_panels(
     return figure, panels[: len(names)]
 
 
-def styles_of(labels: Sequence[str]) -> Styles:
-    """Return colour and marker of every method, in the order in which they first come."""
+def styles_of(labels: Iterable[str]) -> Styles:
+    """Return colour and marker of every label, in the order in which they first come.
+
+    A method, and the only label that adds something to its name in brackets, has the method's. Others have what no
+    method among the labels has.
+    """
+    plain = {label: label.split(" (")[0] for label in labels}
+    single = {label for label, name in plain.items() if name == label or list(plain.values()).count(name) == 1}
+    known = {label: OF_METHODS[name] for label, name in plain.items() if label in single and name in OF_METHODS}
+    colours, markers = ([style[key] for style in known.values()] for key in ("color", "marker"))
+    free = cycle([colour for colour in COLOURS if colour not in colours] or COLOURS)
+    shapes = cycle([marker for marker in MARKERS if marker[0] not in markers] or MARKERS)
     styles = {}
-    for i, label in enumerate(dict.fromkeys(labels)):
-        marker, size = MARKERS[i % len(MARKERS)]
-        styles[label] = {"color": COLOURS[i % len(COLOURS)], "marker": marker, "markersize": size}
+    for label in plain:
+        if label not in known:
+            marker, size = next(shapes)
+            known[label] = {"color": next(free), "marker": marker, "markersize": size}
+        styles[label] = known[label]
     return styles
 
 

@@ -21,6 +21,7 @@ def made(*overrides):
         (["env=hopper_v5"], "ars", "ars", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
         (["env=hopper", "method=linear", "depth=0"], "ars", "ars", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
         (["env=reacher"], "sac", "fleet", "runs/reacher/otr/depth-6/standard-fleet/seed-0"),
+        (["env=halfcheetah", "method=otr"], "sac", "fleet", "runs/halfcheetah/otr/depth-6/standard-fleet/seed-0"),
         (["env=bipedalwalker"], "ppo", "sb3", "runs/bipedalwalker/otr/depth-6/standard/seed-0"),
         (
             ["env=bipedalwalker", "algo=sac", "trainer=fleet"],
@@ -151,6 +152,12 @@ def test_an_oracle_of_ones_own_is_not_searched():
     with pytest.raises(ConfigError, match=r"oracle=\[64\]: algo=ars searches small networks"):
         made("env=hopper", "method=viper", "oracle=[64]")
     assert made("env=hopper", "method=distilled_otr", "depth=64").depth == 64  # of the student, which is not searched
+
+
+def test_a_command_that_names_no_method_shrinks_the_half_cheetah():
+    (job,) = RUN.jobs(RUN.expand(["env=halfcheetah"], multirun=False))
+    assert job.folder == "runs/halfcheetah/distilled_otr/depth-6/standard-shrink/seed-0"
+    assert job.oracle.folder == "runs/halfcheetah/otr/depth-256-256/standard-fleet/seed-0"
 
 
 def test_recipes_are_of_what_there_is():

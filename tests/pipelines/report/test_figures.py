@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipelines.report.figures.style import auc_against_leaves
+from pipelines.report.figures.style import OF_METHODS, auc_against_leaves, styles_of
 
 
 def points(*rows):
@@ -65,6 +65,13 @@ def test_a_method_looks_the_same_everywhere_and_stands_once_in_the_legend():
     for rows, message in (([], "no points"), ([0.5], "at least 1 leaf"), ([float("nan")], "at least 1 leaf")):
         with pytest.raises(ValueError, match=message):
             auc_against_leaves(points(*(("Bace", "OTR", leaves, 0.8) for leaves in rows)))
+
+
+@pytest.mark.parametrize("others", [[], ["CART"], ["OTR (tuned)", "NDPS"]])
+def test_a_method_looks_the_same_in_every_figure(others):
+    styles = styles_of(["OTR", *others, "VIPER (of OTR)"])
+    assert styles["OTR"] == OF_METHODS["OTR"] and styles["VIPER (of OTR)"] == OF_METHODS["VIPER"]
+    assert len({(style["color"], style["marker"]) for style in styles.values()}) == len(others) + 2
 
 
 @pytest.mark.parametrize("n", [1, 4, 5])

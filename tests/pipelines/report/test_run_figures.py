@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 import otr
 from otr.programs.picture.colours import label_colours, level_colour
 from pipelines.errors import ConfigError, MissingInputError
-from pipelines.report.figures.learning_curves import ROWS, STEPS, learning_curves, load_curves
+from pipelines.report.figures.learning_curves import ROWS, STEPS, curve_rows, learning_curves, load_curves
 from pipelines.report.figures.regions import chosen_inputs, draw_regions
 from pipelines.report.figures.run_figures import runs_below
 from pipelines.runs.finished_run import find_run
@@ -33,6 +33,10 @@ def test_curves_of_committed_runs() -> None:
     assert trained["chosen"].sum() == 1 and trained.loc[trained["chosen"], "mean"].item() == trained["mean"].max()
     imitated = load_curves([RESULTS / "runs/lunarlander/viper/depth-4/quick/seed-2"])
     assert set(imitated["unit"]) == {ROWS} and len(imitated) == 51 and imitated["std"].isna().all()
+    rows = curve_rows(trained)
+    assert list(rows) == ["env", "method", "depth", "budget", "seed", "step", "unit", "metric", "value"]
+    assert rows.iloc[0].tolist()[:8] == ["hopper", "otr", "6", "quick", "0", 5000, STEPS, "return_mean"]
+    assert rows["value"].tolist() == [*trained["mean"], *trained["std"]]
     with pytest.raises(MissingInputError, match="no learning curve is kept there"):
         load_curves([RESULTS / "runs/mountaincar/program/depth-1/thesis/seed-0~51b7cab2"])
 
@@ -141,8 +145,12 @@ def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     car = "run=mountaincar/otr/depth-1/quick/seed-0"
     for words in (["curves", car], ["figure=regions", car, "inputs=[velocity,position]"]):
         done = command("tabulate", *words, f"out={tmp_path / 'a.svg'}")
-        assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'a.svg'}\n"), done.stderr
+        csv = f"{tmp_path / 'a.csv'}\n" if "curves" in words else ""
+        assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'a.svg'}\n{csv}"), done.stderr
         assert (tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
+    alone = command("tabulate", "curves", car, f"out={tmp_path / 'b.csv'}")
+    assert alone.stdout == f"{tmp_path / 'b.csv'}\n" and not (tmp_path / "b.png").exists()
+    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
     refused = command("tabulate", "curves", car, f"out={tmp_path / 'a.gif'}")
     assert refused.returncode == 2 and "expected .png, .svg, .pdf" in refused.stderr
     (tmp_path / "file").touch()

@@ -16,7 +16,7 @@ from tests.pipelines.report.conftest import write_run
 def test_words_stand_for_reports_and_those_there_are_are_listed_for_others() -> None:
     assert reports_of("table=4.1") == reports_of("4.1") == ("4.1",) and reports_of("figure=4.6") == ("4.6",)
     assert set(reports_of("all")) == {*TABLES, *FIGURES} - {"runs", "fits"}
-    tables = r"Known tables: 4\.1, 4\.2, certificates, comparisons, runs, fits$"
+    tables = r"Known tables: 4\.1, 4\.2, certificates, comparisons, equal_steps, runs, fits$"
     for words, message in (
         ("table=4.11", rf"table=4\.11 is not known\. Did you mean table=4\.1\? {tables}"),
         ("table=x", rf"table=x is not known\. {tables}"),
@@ -71,7 +71,7 @@ def test_all_leaves_out_a_figure_without_runs_and_says_so(tmp_path: Path) -> Non
     done = otr_succeeds("otr-tabulate", "all", "budget=smoke", cwd=tmp_path)
     assert "4.7 is left out" in done.stderr and "otr-run +experiment=figure_4_6" in done.stderr
     assert "profile is left out" in done.stderr and "otr-run +experiment=table_4_1" in done.stderr
-    assert len(list((tmp_path / "results/tables").iterdir())) == 10
+    assert len(list((tmp_path / "results/tables").iterdir())) == 12
     done = otr_command("otr-tabulate", "4.7", cwd=tmp_path)
     assert done.returncode == 1 and "otr-run +experiment=figure_4_6" in done.stderr
     done = otr_command("otr-tabulate", "rusn", cwd=tmp_path)

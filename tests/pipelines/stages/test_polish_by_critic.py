@@ -26,7 +26,7 @@ from pipelines.runs.stage_table import stages_of
 from pipelines.stages.polish import POLISH, estimated_seconds, improve_by_critic, polish_keys, polishes_by
 from pipelines.training.critics import CRITICS
 from tests.committed import copy_run
-from tests.pipelines.conftest import otr_command, otr_succeeds
+from tests.pipelines.conftest import otr_succeeds
 
 torch.set_num_threads(1)
 SHORT = (
@@ -115,18 +115,22 @@ def test_trainer_shrink_is_a_fleet_s_oracle_a_short_imitation_and_a_polish_by_cr
         RUN.jobs([["env=pendulum", "method=ndps", "trainer=shrink"]])
 
 
-def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(shrunk, tmp_path):
+def test_what_is_packed_without_critics_stays_done_and_its_oracle_is_trained_again_for_another_polish(shrunk, tmp_path):
     folder, words, _ = shrunk
     shutil.copytree(folder / "results", tmp_path / "results")
     pack_results(tmp_path / "results")
     (made,) = tmp_path.glob("results/runs/pendulum/distilled_otr/depth-4/smoke-fleet/seed-0~*")
     assert not (made / "polish").exists() and not list(tmp_path.rglob(CRITICS))
     assert "polish: done before" in run(tmp_path, *words)
-    done = otr_command("otr-run", *SHORT, *words, "polishing.critic.noise=0.2", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "critics.safetensors is not there" in done.stdout + done.stderr
-    assert "results_dir=DIR, another folder" in done.stdout + done.stderr
-    assert "imitate" not in done.stdout  # before anything runs
+    (oracle,) = tmp_path.glob("results/runs/pendulum/otr/depth-16/smoke-fleet/seed-0~*")
+    actor = load_actor(oracle / "train")
+    plan = otr_succeeds("otr-plan", *SHORT, *words, "polishing.critic.noise=0.2", cwd=tmp_path).stdout
+    assert "run, train oracle pendulum/otr/depth-16" in " ".join(plan.split())
+    printed = run(tmp_path, *words, "polishing.critic.noise=0.2")
+    assert f"train: kept without {CRITICS}, as archives are; done again" in printed
+    assert "learnt by critics" in printed and (oracle / "train" / CRITICS).is_file()
+    for one, other in zip(actor.weights, load_actor(oracle / "train").weights, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_an_actor_is_polished_by_its_own_critics_and_a_tree_by_its_oracle_s(shrunk):

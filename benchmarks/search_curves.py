@@ -93,7 +93,9 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> "Figure":
     costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
     ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
     names = pd.DataFrame({"panel": ["by steps", "by time"]})
-    figure, panels = figure_of_panels(names, 2, 2, ("", "return of the best policy so far"), len(colours), share=(False, True))
+    figure, panels = figure_of_panels(
+        names, 2, 2, ("", "return of the best policy so far"), len(colours), share=(False, True)
+    )
     for panel, cost in zip(panels, costs, strict=True):
         for label, colour in colours.items():
             _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import DQN, PPO, SAC
+from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
@@ -24,7 +24,7 @@ from pipelines.cli.overrides import asked
 from pipelines.cli.runs import RUN
 from pipelines.config import env as env_config
 from tests.committed import RESULTS
-from tests.pipelines.conftest import Done, otr_command
+from tests.pipelines.conftest import otr_command
 from tests.pipelines.own_envs import Cart
 
 ROOT = Path(__file__).parents[1]
@@ -36,12 +36,9 @@ PROGRAMS = {"mountaincar": "if velocity <= 0: -1 else: 1", "CartPole-v1": "if an
             "pendulum": "2 tanh(0.3 sin_angle + 0.1 angle_rate)"}  # fmt: skip
 RUNS = ("hopper/otr/depth-6/quick/seed-0", "pendulum/otr/depth-6/quick/seed-0", "lunarlander/otr/depth-2/thesis/seed-0")
 NAMES = {"run=FOLDER": RUNS[1], "run=A": RUNS[0], "run=B": RUNS[1], "run=RUN": RUNS[1]}
-PARTS = ("otr-run method=otr", "otr-tabulate figure=curves")  # of commands
-NOT_GIVEN = re.compile("bace|[+]experiment|run=FOLDER|certificate=")  # data from the network, hours, what is made above
+NOT_GIVEN = re.compile("bace|[+]experiment|certificate=")  # data from the network, hours, what is made above
 TUTORIALS = ("docs/tutorial.md", "docs/tutorial-data.md")
-ELSEWHERE = ("README.md", *TUTORIALS)  # whose tests look at what comes out, too
 RECORD = "docs/results.md"  # the commands of all committed runs, which tests/test_results.py compares with these
-SLOW = pytest.mark.slow
 
 torch.set_num_threads(1)
 
@@ -53,11 +50,10 @@ def blocks(page: str) -> list[tuple[str, str]]:
 def commands(page: str) -> list[list[str]]:
     """Return a page's commands, those in the text among them where they are whole, each as its words."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    lines = [
-        line for language, block in blocks(page) if not language for line in block.replace("\\\n", "").splitlines()
-    ]
+    text = re.sub(r"```(?:python|bibtex)\n.*?```", "", text.replace("\\\n", ""), flags=re.DOTALL)
+    lines = [line for _, block in BLOCK.findall(text) for line in block.splitlines()]
     lines += [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", BLOCK.sub("", text)) if "..." not in code]
-    return [shlex.split(line, comments=True) for line in lines if re.match(r"otr-\w+ \S", line) and line not in PARTS]
+    return [shlex.split(line, comments=True) for line in lines if re.match(r"otr-\w+ \S", line)]
 
 
 @pytest.fixture(scope="module")
@@ -65,27 +61,24 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what pages take as given: policies, statistics, programs, tables, an environment, some runs."""
     folder = tmp_path_factory.mktemp("given")
     relu = {"policy_kwargs": {"net_arch": [4], "activation_fn": torch.nn.ReLU}, "device": "cpu", "seed": 0}
-    for name, env in {"CartPole-v1": "CartPole-v1", "my_module:Maze-v0": Cart(), "pendulum": "Pendulum-v1"}.items():
-        PPO("MlpPolicy", env, **relu).save(folder / f"of {name}.zip")
-    DQN("MlpPolicy", "LunarLander-v3", buffer_size=10, **relu).save(folder / "of LunarLander-v3.zip")
-    for name, env in {"HalfCheetah-v5": "HalfCheetah-v5", "reacher": "Reacher-v4"}.items():
-        SAC("MlpPolicy", env, buffer_size=10, **relu).save(folder / f"of {name}.zip")
+    zips = {"CartPole-v1": PPO, "my_module:Maze-v0": PPO, "pendulum": PPO, "LunarLander-v3": A2C, "HalfCheetah-v5": SAC,
+            "reacher": SAC}  # fmt: skip
+    for env, kind in zips.items():
+        made = {"my_module:Maze-v0": Cart(), "pendulum": "Pendulum-v1", "reacher": "Reacher-v4"}.get(env, env)
+        kind("MlpPolicy", made, **relu).save(folder / f"of {env}.zip")
     VecNormalize(DummyVecEnv([Cart])).save(str(folder / "statistics.pkl"))
     for env_name, program in PROGRAMS.items():
         (folder / f"{env_name}.txt").write_text(program)
     (folder / "upright.txt").write_text("velocity in -3..3\nangle_rate in -3..3\n")
     (folder / "my_module.py").write_text(
-        "from gymnasium import register\nfrom tests.pipelines.own_envs import Cart\n\n\nclass Maze(Cart):\n"
-        "    def __init__(self, size=3):\n        super().__init__()\n\n\n"
-        "register('Maze-v0', Maze, max_episode_steps=50, kwargs={'size': 3})\n"
+        "import gymnasium, tests.pipelines.own_envs as own\n"
+        "gymnasium.register('Maze-v0', lambda size: own.Cart(), max_episode_steps=50, kwargs={'size': 3})\n"
     )
     rng = np.random.default_rng(0)
     rows = ["id,area,colour,price", *(f"{i % 7},{a:.2f},red,{3 * a:.2f}" for i, a in enumerate(rng.uniform(1, 2, 100)))]
-    for table in ("my.csv", "new.csv"):
-        (folder / table).write_text("\n".join(rows))
-    tree = otr.parse_program(PROGRAMS["pendulum"], ["cos_angle", "sin_angle", "angle_rate"])
+    (folder / "my.csv").write_text("\n".join(rows))
     (folder / "prune").mkdir()
-    otr.save(tree, folder / "prune/tree.json")
+    otr.save(otr.parse_program(PROGRAMS["pendulum"], ["cos_angle", "sin_angle", "angle_rate"]), folder / "prune/tree")
     for run in RUNS:
         shutil.copytree(RESULTS / "runs" / run, folder / "results/runs" / run)
     return folder
@@ -94,20 +87,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def spelt_out(words: list[str], files: Path) -> list[str]:
     """Return a command's words with this folder's files in place of the page's."""
     env = next((word.partition("=")[2] for word in words if word.startswith("env=")), "pendulum")
-    if any(word.endswith(("policy.zip", "reacher.zip")) for word in words):
-        for name in ("policy.zip", "reacher.zip"):
-            shutil.copy(files / f"of {env}.zip", files / name)
+    for name in {word.partition("=")[2] for word in words if word.endswith(("policy.zip", "reacher.zip"))}:
+        shutil.copy(files / f"of {env}.zip", files / name)
     words = [word.replace("=FILE", f"={env}.txt") if word == "program=FILE" else word for word in words]
     return [f"run={NAMES[word]}" if word in NAMES else word for word in words]
-
-
-def understood(words: list[str]) -> None:
-    """Compose the first and the last job of a command of jobs."""
-    workflow = COMPOSED[words[0]]
-    overrides = asked(Namespace(overrides=[word for word in words[1:] if word != "-m"]))
-    jobs = workflow.expand(overrides, "-m" in words)
-    for own in {tuple(own): None for own in (jobs[0], jobs[-1])}:
-        workflow.check(workflow.jobs([list(own)])[0].config)
 
 
 def give(words: list[str], folder: Path) -> None:
@@ -117,30 +100,29 @@ def give(words: list[str], folder: Path) -> None:
     assert done.returncode == 0 or is_false, (words, done)
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=[SLOW] if page == RECORD else [])
-        for page in PAGES
-        if commands(page) and page not in TUTORIALS
-    ],
-)
+WITH_COMMANDS = [page for page in PAGES if commands(page) and page not in (*TUTORIALS, RECORD)]
+
+
+@pytest.mark.parametrize("page", [*WITH_COMMANDS, pytest.param(RECORD, marks=pytest.mark.slow)])
 def test_commands_are_understood(page: str, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a sweep, the first and the last job are composed."""
     monkeypatch.chdir(files)
     monkeypatch.syspath_prepend(files)
     env_config._code_sha256.cache_clear()
     for words in commands(page):
         words = spelt_out(words, files)
         if words[0] in COMPOSED and "--help" not in words:
-            understood(words)
+            workflow = COMPOSED[words[0]]
+            overrides = asked(Namespace(overrides=[word for word in words[1:] if word != "-m"]))
+            jobs = workflow.expand(overrides, "-m" in words)
+            for own in jobs[:1] + jobs[1:][-1:]:
+                workflow.check(workflow.jobs([own])[0].config)
         elif words[0] in ("otr-export", "otr-verify") and "certificate=proof.json" not in words:  # of the page's Python
             give(words, files)
 
 
-@SLOW
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if commands(page) and page not in (*ELSEWHERE, RECORD) and "decisions" not in page]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in WITH_COMMANDS if "decisions" not in page])
 def test_commands_run(page: str, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs with the smallest budget; sweeps, of which the smallest versions are `make smoke`, are not run."""
     monkeypatch.chdir(files)
@@ -161,16 +143,15 @@ def quick(function: Callable[..., Any], **few: Any) -> Callable[..., Any]:
     return lambda *given, polish=None, **named: function(*given, **(named | few))
 
 
+# README's test and those of the tutorials look at what comes out, too.
 @pytest.mark.parametrize(
-    "page",
-    [page for page in PAGES if page not in ELSEWHERE and any(language == "python" for language, _ in blocks(page))],
+    "page", [page for page in PAGES[1:] if "python" in dict(blocks(page)) and page not in TUTORIALS]
 )
 def test_python_runs(page: str, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a page prints and then shows is the same; imitation and polish have few steps."""
     monkeypatch.chdir(tmp_path)
-    for name in ("new.csv", "my.csv"):
-        shutil.copy(files / name, tmp_path)
-    shutil.copy(files / "of pendulum.zip", tmp_path / "model.zip")
+    for given, name in {"my.csv": "my.csv", "./my.csv": "new.csv", "of pendulum.zip": "model.zip"}.items():
+        shutil.copy(files / given, tmp_path / name)
     SAC("MlpPolicy", "Pendulum-v1", buffer_size=10, policy_kwargs={"net_arch": [8]}).save(tmp_path / "sac.zip")
     few = {"n_rounds": 1, "n_episodes": 1, "n_choice_episodes": 1, "progress": False}
     monkeypatch.setattr(otr, "imitate", quick(otr.imitate, **few))
@@ -185,7 +166,6 @@ def test_python_runs(page: str, files: Path, tmp_path: Path, monkeypatch: pytest
                 exec(compile(block, page, "exec"), names)
             shown = out.getvalue()
         elif "otr-fit data=my.csv" in block:
-            given: Done = otr_command(*shlex.split(block.splitlines()[0], comments=True), cwd=tmp_path)
-            assert given.returncode == 0, given
+            give(shlex.split(block.splitlines()[0], comments=True), tmp_path)
         elif not language and shown and "otr-" not in block:
             assert shown == block

@@ -45,15 +45,15 @@ def execute(page: Path, folder: Path) -> dict:
     return names
 
 
-def page_and_notebook(name: str) -> pytest.MarkDecorator:
-    notebook = pytest.param(DOCS / f"notebooks/{name}.ipynb", marks=pytest.mark.slow)
-    return pytest.mark.parametrize("page", [DOCS / f"{name}.md", notebook], ids=["page", "notebook"])
+PAGE_AND_NOTEBOOK = pytest.mark.parametrize(
+    "page", ["{}.md", pytest.param("notebooks/{}.ipynb", marks=pytest.mark.slow)]
+)
 
 
-@page_and_notebook("tutorial")
-def test_from_a_zip_to_c(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@PAGE_AND_NOTEBOOK
+def test_from_a_zip_to_c(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    names = execute(page, tmp_path)
+    names = execute(DOCS / page.format("tutorial"), tmp_path)
     net, better, played = names["net"], names["better"], names["played"]
     assert names["full"].n_leaves == 128 > names["tree"].n_leaves
     before, after = (otr.evaluate("CartPole-v1", each).mean_return for each in (net, better))
@@ -63,12 +63,12 @@ def test_from_a_zip_to_c(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert (tmp_path / "policy.html").stat().st_size > 10_000 and "return" in (tmp_path / "policy.c").read_text()
 
 
-@page_and_notebook("tutorial-data")
+@PAGE_AND_NOTEBOOK
 def test_from_a_csv_to_a_tree(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    names = execute(page, tmp_path)
+    names = execute(DOCS / page.format("tutorial-data"), tmp_path)
     X, y = names["X"][450:], names["y"][450:]
     assert names["one"].score(X, y) > max(0.97, names["many"].score(X, y))
     assert names["one"].tree_.n_leaves < names["many"].tree_.n_leaves
@@ -82,9 +82,7 @@ def test_the_notebook_is_the_page(name: str) -> None:
     text = (DOCS / f"notebooks/{name}.ipynb").read_text(encoding="utf-8")
     assert text == make["notebook"](DOCS / f"{name}.md"), "run python docs/notebooks/make.py"
     cells = json.loads(text)["cells"]
-    code = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
-    assert re.sub("^!", "", code, flags=re.MULTILINE) == "\n".join(
-        block.rstrip("\n") for _, block in BLOCK.findall((DOCS / f"{name}.md").read_text(encoding="utf-8"))
-    )
+    pages_blocks = [block.rstrip("\n") for _, block in blocks(DOCS / f"{name}.md")]
+    assert [block for _, block in blocks(DOCS / f"notebooks/{name}.ipynb")] == pages_blocks
     assert [link for cell in cells for link in re.findall(r"\]\(([^)#:]+)", cell["source"])
             if not (DOCS / "notebooks" / link).exists()] == []  # fmt: skip

@@ -19,9 +19,7 @@ _KINDS = (".zip", ".onnx", ".pt2", ".skops")
 _NO_POLICY = "train_eval_metrics.zip"  # the zoo's, next to the policy
 
 
-def from_hub(
-    repo: str | os.PathLike[str], *, file: str | None = None, revision: str | None = None, normalise: Any = AUTO
-) -> Oracle:
+def from_hub(repo: str | os.PathLike[str], *, normalise: Any = AUTO) -> Oracle:
     """Return the policy in a repository of the Hugging Face Hub, as `otr.read_policy` reads its file.
 
     Of a repository as rl-baselines3-zoo uploads them, these are ``<algo>-<env>.zip`` and, where states were normalised,
@@ -29,9 +27,8 @@ def from_hub(
     local cache.
 
     Args:
-        repo: "org/name", "hf://org/name", "hf://org/name@revision/file", or a folder with the same files.
-        file: its name there, where there are several.
-        revision: a branch, tag or commit; None for the newest.
+        repo: "org/name", or "org/name@revision/file" where it is not the newest or has several; "hf://" may be in
+            front. Or a folder with the same files.
         normalise: as of `otr.read_policy`.
 
     Raises:
@@ -46,29 +43,25 @@ def from_hub(
         >>> otr.from_hub("dqn-CartPole-v1")  # a folder; sb3/dqn-CartPole-v1 is on the hub
         ReluNetwork(4 -> 64 -> 64 -> 2, negative_slope=0.0, dense=False, head=Argmax())
     """
-    return read_policy(policy_file(repo, file, revision), normalise=normalise)
+    return read_policy(policy_file(repo), normalise=normalise)
 
 
 @naming_the_extra("otr.from_hub")
-def policy_file(repo: str | os.PathLike[str], file: str | None = None, revision: str | None = None) -> Path:
+def policy_file(repo: str | os.PathLike[str]) -> Path:
     """Return the path of a repository's policy, after its download; `from_hub` documents arguments and errors."""
-    folder = Path(repo)
+    folder, file = Path(repo), None
     if not folder.is_dir():
         named = _NAME.fullmatch(str(repo))
         if named is None:
             raise ArtefactError(f"{repo} is no folder, and no org/name of a repository of the Hugging Face Hub")
-        file, revision = file or named["file"], revision or named["revision"]
-        folder = _downloaded(named["name"], revision)
-    found = [path for path in sorted(folder.rglob("*")) if path.suffix in _KINDS and path.name != _NO_POLICY]
-    names = [path.relative_to(folder).as_posix() for path in found]
-    if file is not None:
-        if file not in names:
-            raise ArtefactError(f"{repo} has no {file!r}; the policies in it: {', '.join(names) or 'none'}")
-        return folder / file
-    if len(names) != 1:
-        problem = f"{repo} holds {len(names)} files of policies ({', '.join(_KINDS)}), expected one"
-        raise ArtefactError(f"{problem}; name one of {', '.join(names)}" if names else problem)
-    return found[0]
+        folder, file = _downloaded(named["name"], named["revision"]), named["file"]
+    paths = (path for path in sorted(folder.rglob("*")) if path.suffix in _KINDS and path.name != _NO_POLICY)
+    found = {path.relative_to(folder).as_posix(): path for path in paths}
+    chosen = [path for name, path in found.items() if file in (None, name)]
+    if len(chosen) != 1:
+        which = f"no {file!r}" if file else f"{len(found)} files of policies, expected one; name one, as org/name/file"
+        raise ArtefactError(f"{repo} has {which}; in it: {', '.join(found) or 'none'}")
+    return chosen[0]
 
 
 def _downloaded(name: str, revision: str | None) -> Path:

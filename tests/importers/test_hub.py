@@ -25,8 +25,7 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, seed=0, device="cpu").learn(64)
     model.save(remote / NAME)
     envs.save(str(remote / "vec_normalize.pkl"))
-    for other in ("train_eval_metrics.zip", "replay.mp4", "README.md", f"{NAME}/policy.pth"):
-        (remote / other).parent.mkdir(exist_ok=True)
+    for other in ("train_eval_metrics.zip", "replay.mp4"):
         (remote / other).write_text("not a policy")
 
     def snapshot_download(name: str, *, revision: str | None, allow_patterns: list[str], ignore_patterns: list[str]):

@@ -6,7 +6,8 @@ episodes of the floats. The proof is
 that of `otr.certify_fixed_point` on the tree: the largest error of an action as a share of its range, at every real
 state of the box but for those within a distance of the tree's tests. Integers and floats play the same 20 starts. Bytes
 and cycles of a call are those of `benchmarks/microcontrollers.py`, on 1,000 states of the box, compared with plain
-float C of the same policy, its network where it has one, else its tree. The table is results/tables/fixed_point.md.
+float C of the same policy, its network where it has one, else its tree, and of a network with emlearn's float C, where
+that is installed (``pip install emlearn pybind11``). The table is results/tables/fixed_point.md.
 
 Target: an error of at most 1 % of the range.
 """
@@ -14,6 +15,8 @@ Target: an error of at most 1 % of the range.
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,7 +25,7 @@ import numpy as np
 
 import otr
 from benchmarks.measure import Entry, output_dir, results_dir
-from benchmarks.microcontrollers import TARGETS, Ran, run_on
+from benchmarks.microcontrollers import TARGETS, Ran, Source, answers_hash, run_on
 from pipelines.cli.runs import load_config
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_summary, write_text
@@ -32,6 +35,7 @@ from pipelines.play.episodes import play_seeds
 from pipelines.runs.finished_run import tree_of
 from pipelines.runs.verify_run import wanted_box
 
+EMLEARN = version("emlearn") if find_spec("emlearn") else ""
 BITS, WIDER, MOST_LEAVES, MARGIN, TARGET = 16, 20, 99, 0.1, 0.01
 SEEDS = range(90_000, 90_020)
 MACHINES = ("AVR", "Cortex-M0")
@@ -59,7 +63,7 @@ class Row:
     floats: float
     box: str
     n_clamped: int
-    machines: dict[str, tuple[Ran, Ran | str] | str]  # integers, and floats
+    machines: dict[str, list[Ran | str] | str]  # integers, floats and, of a network, emlearn's floats
     peer: str
 
 
@@ -125,7 +129,7 @@ def _row(best: Best, n_episodes: int, n_states: int) -> Row:
         float(np.mean(in_floats.returns)),
         name,
         n_clamped,
-        dict(_machines(fixed, tree if network is None else network, n_states)),
+        dict(_machines(fixed, [tree if network is None else network, *emlearn_code(network, box)], n_states)),
         "tree" if network is None else "network",
     )
 
@@ -138,22 +142,62 @@ def _network(best: Best, run: RunConfig) -> Any:
     return load_actor(best.folder / stage) if best.form == "pruned" else None
 
 
-def _machines(fixed: otr.FixedPointTree, peer: Any, n_states: int) -> Iterator[tuple[str, tuple[Ran, Ran | str] | str]]:
+def _machines(
+    fixed: otr.FixedPointTree, peers: list[Any], n_states: int
+) -> Iterator[tuple[str, list[Ran | str] | str]]:
     for name in MACHINES:
         missing = TARGETS[name].missing()
         if missing:
             yield name, f"not run: no {missing}"
             continue
-        with TemporaryDirectory() as folder:
-            ours = run_on(TARGETS[name], fixed, n_states, Path(folder))
-            theirs: Ran | str
-            try:
-                theirs = run_on(TARGETS[name], fixed, n_states, Path(folder), in_floats=peer)
-            except RuntimeError as error:
-                if not any(words in str(error) for words in ("is too large", "not within region", "overflowed")):
-                    raise
-                theirs = "does not fit"  # of plain C, an AVR holds constant tables in its RAM
-            yield name, (ours, theirs)
+        ran: list[Ran | str] = []
+        for policy in (None, *peers):
+            with TemporaryDirectory() as folder:
+                try:
+                    ran.append(run_on(TARGETS[name], fixed, n_states, Path(folder), in_floats=policy))
+                except RuntimeError as error:
+                    if not any(words in str(error) for words in ("is too large", "not within region", "overflowed")):
+                        raise
+                    ran.append("does not fit")  # of plain C, an AVR holds constant tables in its RAM
+        if isinstance(ran[0], Ran) and ran[0].hash != answers_hash(fixed, n_states):
+            raise RuntimeError(f"{name}: the integers are not those of Python")
+        if len({each.hash for each in ran[1:] if isinstance(each, Ran)}) > 1:
+            raise RuntimeError(f"{name}: emlearn's C does not answer as plain C of the same network")
+        yield name, ran
+
+
+def emlearn_code(network: Any, box: otr.Domain) -> list[Source]:
+    """Return emlearn's C of a network of one hidden layer, clipped as the policy is; nothing if not installed.
+
+    Its layers read the layer before alone, by ReLU. So what the output reads of the inputs goes through d more units,
+    ``relu(x - low)``, which is ``x - low`` in the box, and so does the slope of leaky units.
+    """
+    if not EMLEARN or network is None or len(network.weights) != 2:
+        return []
+    from emlearn import includedir, net
+
+    (W, V), (b, c), slope = network.weights, network.biases, network.negative_slope
+    d, o, n = network.n_inputs, network.n_outputs, len(network.biases[0])
+    of_inputs = slope * V[:, :n] @ W + (V[:, n:] if network.dense else 0)
+    weights, biases = [W, (1 - slope) * V[:, :n]], [b, c + slope * V[:, :n] @ b]
+    if of_inputs.any():
+        weights = [np.concatenate((W, np.eye(d))), np.column_stack((weights[1], of_inputs))]
+        biases = [np.concatenate((b, -box.low)), biases[1] + of_inputs @ box.low]
+    code = net.c_generate_net_loadable(["relu", "identity"], [each.T for each in weights], biases, prefix="net")
+    limits = zip(("low", "high"), network.head.limits(o), strict=True)
+    constants = [f"static const float {end}[] = {{ {', '.join(map(repr, side.tolist()))} }};" for end, side in limits]
+    text = f"""{code}
+{" ".join(constants)}
+void policy(const float x[{d}], float y[{o}]);
+void policy(const float x[{d}], float y[{o}])
+{{
+    int k;
+    net_regress(x, {d}, y, {o});
+    for (k = 0; k < {o}; k++)
+        y[k] = y[k] < low[k] ? low[k] : y[k] > high[k] ? high[k] : y[k];
+}}
+"""
+    return [Source(text, includedir)]
 
 
 def _entries(row: Row) -> list[Entry]:
@@ -166,7 +210,7 @@ def _entries(row: Row) -> list[Entry]:
     for name, ran in row.machines.items():
         if isinstance(ran, str):
             continue
-        ours, theirs = ran
+        ours, theirs = ran[:2]
         for what, unit in (("n_bytes", "bytes"), ("mean", TARGETS[name].unit)):
             peer = None if isinstance(theirs, str) else getattr(theirs, what)
             entries.append(Entry(f"{task}: {name}, {unit}", getattr(ours, what), unit,
@@ -187,14 +231,14 @@ def table(rows: list[Row]) -> str:
         share += "" if row.wider is None else f" ({WIDER} bits, sums of 64: {row.wider:.3%})"
         cells += [f"{share} beyond {row.distance:.1g}", f"{row.integers:,.1f}", f"{row.floats:,.1f}"]
         for ran in row.machines.values():
-            cells += [ran, ran] if isinstance(ran, str) else [_pair(*ran, what) for what in ("n_bytes", "mean")]
+            cells += [ran, ran] if isinstance(ran, str) else [_compared(ran, what) for what in ("n_bytes", "mean")]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def _pair(ours: Ran, theirs: Ran | str, what: str) -> str:
-    peer = theirs if isinstance(theirs, str) else f"{getattr(theirs, what):,}"
-    return f"{getattr(ours, what):,} ({peer})"
+def _compared(ran: list[Ran | str], what: str) -> str:
+    ours, *peers = (each if isinstance(each, str) else f"{getattr(each, what):,}" for each in ran)
+    return f"{ours} ({'; '.join(peers)})"
 
 
 def _notes(rows: list[Row]) -> list[str]:
@@ -204,10 +248,13 @@ def _notes(rows: list[Row]) -> list[str]:
         action's range, but for states within that distance (Euclidean, in the inputs) of a test, whose other side may
         answer. The box is the one that the environment declares or, where that is open or no 1 % is proved on it, the
         one around the states of 20 episodes. States beyond the box, which are clamped: {clamped or "none"}."""
+    peer = f"then emlearn {EMLEARN}'s float C of the network" if EMLEARN else "emlearn was not run, as not installed"
     machines = f"""Bytes are code and tables with all that is linked for them; cycles (of the Cortex-M0 instructions:
         QEMU counts no cycles) the mean of a call. In brackets plain float C of the network ({networks or "none"}) or of
-        the same tree, whose tables an AVR holds in its 16 KB of RAM. emlearn was not run."""
+        the same tree, whose tables an AVR holds in its 16 KB of RAM; {peer}. It has no trees
+        with oblique tests, its networks in fixed point are a stub (``eml_net_fixedpoint.h``), and it reads no dense
+        links or leaky units: hence more units."""
     notes = [proved, "Returns are means over the same 20 starts.", machines]
     wrapped = [textwrap.fill(" ".join(f"* {note}".split()), 120, subsequent_indent="  ") for note in notes]
     return ["`python -m benchmarks fixed_point` writes this table: the best committed tree of 2 to 99 leaves, with",
-            "coefficients, inputs and answers of 16 bits.", "", *wrapped]  # fmt: skip
+            "coefficients, inputs and answers of at most 16 bits and sums of 32.", "", *wrapped]  # fmt: skip

@@ -16,6 +16,7 @@ import numpy as np
 
 import otr
 
+_STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
 _MULTIPLIER, _INCREMENT, _PRIME = 1664525, 1013904223, 16777619
 # States from a generator of 32 bits, which Python repeats; answers are hashed. Each call is timed by itself.
 _DRIVER = """
@@ -211,7 +212,7 @@ TARGETS = {
                         _ARM_PACKAGES, _ARM_SCRIPT, tick=62.5 / 64),
     "Cortex-M4": Target("arm-none-eabi-", ("-mcpu=cortex-m4", "-mthumb"), _qemu("arm", "mps2-an386"), _ARM,
                         _ARM_PACKAGES, _ARM_SCRIPT, tick=40 / 64),
-    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac_zicsr", "-mabi=ilp32", "-ffreestanding"),
+    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac", "-misa-spec=2.2", "-mabi=ilp32", "-ffreestanding"),
                      (*_qemu("riscv32", "virt")[:-1], "-bios", "none", "-kernel"), _RISCV,
                      "gcc-riscv64-unknown-elf qemu-system-misc",
                      _LINKED.format(flash="0x80000000", ram="0x80100000", entry="start"),
@@ -227,6 +228,14 @@ class Ran:
     mean: int
     most: int
     n_bytes: int
+
+
+@dataclass(frozen=True)
+class Source:
+    """C of others, which declares ``void policy(const float x[d], float y[o])``, and where its headers are."""
+
+    text: str
+    headers: str
 
 
 def states(fixed: otr.FixedPointTree, n: int) -> np.ndarray:
@@ -251,8 +260,15 @@ def answers_hash(fixed: otr.FixedPointTree, n: int) -> int:
 
 
 def run_on(target: Target, fixed: otr.FixedPointTree, n: int, folder: Path, in_floats: Any = None) -> Ran:
-    """Return what a machine does with a fixed-point tree or, on the same states, a policy `in_floats`, n times."""
-    source = otr.to_c(fixed) if in_floats is None else otr.to_c(in_floats, dtype="float")
+    """Return what a machine does with a fixed-point tree or, on the same states, a policy `in_floats`, n times.
+
+    That is a policy of `otr.to_c`, or a `Source`.
+    """
+    flags = _STRICT
+    if isinstance(in_floats, Source):
+        source, flags = in_floats.text, ["-w", "-I", in_floats.headers]
+    else:
+        source = otr.to_c(fixed) if in_floats is None else otr.to_c(in_floats, dtype="float")
     labelled = "policy_label(" in source
     (declared,) = re.findall(r"^(\w.* policy(?:_label)?\(.*\));", source, re.M)
     n_answers = 1 if labelled else int(re.search(r" y\[(\d+)\]", declared)[1])  # type: ignore[index]
@@ -276,8 +292,8 @@ def run_on(target: Target, fixed: otr.FixedPointTree, n: int, folder: Path, in_f
         prime=_PRIME,
     )
     stub = f"#include <stdint.h>\n{declared} {{ (void)x; {'return 0;' if labelled else 'y[0] = 0;'} }}\n"
-    sizes = [_size(target, _linked(target, text, driver, folder)) for text in (stub, source)]
-    program = _linked(target, source, driver, folder)
+    sizes = [_size(target, _linked(target, text, driver, folder, flags)) for text in (stub, source)]
+    program = folder / "program.elf"
     done = subprocess.run([*target.emulator, str(program)], capture_output=True, text=True, timeout=600, check=False)
     printed = re.sub(r"\x1b\[[\d;]*m", "", done.stdout + done.stderr)
     found = re.findall(r"^(\d+)\.?\s*$", printed, re.M)  # simavr shows a line's end as a dot
@@ -287,11 +303,10 @@ def run_on(target: Target, fixed: otr.FixedPointTree, n: int, folder: Path, in_f
     return Ran(int(found[0]), mean, most, sizes[1] - sizes[0])
 
 
-def _linked(target: Target, source: str, driver: str, folder: Path) -> Path:
-    """Return a program, compiled under warnings as errors where the policy is concerned."""
-    warnings = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
+def _linked(target: Target, source: str, driver: str, folder: Path, flags: list[str]) -> Path:
+    """Return a program, whose policy is compiled with some flags."""
     objects = []
-    for name, text, more in (("policy", source, warnings), ("driver", driver, []), ("support", target.support, [])):
+    for name, text, more in (("policy", source, flags), ("driver", driver, []), ("support", target.support, [])):
         path = folder / f"{name}.c"
         path.write_text(text)
         command = [f"{target.prefix}gcc", *target.flags, *more, "-Os", "-ffunction-sections", "-fdata-sections", "-c"]

@@ -14,8 +14,10 @@ import pytest
 import otr
 from benchmarks import (
     control,
+    fixed_point,
     latency,
     mapping,
+    microcontrollers,
     pendulum_optimum,
     polish,
     search,
@@ -55,6 +57,32 @@ def test_a_benchmark_writes_its_measurements_with_versions_and_command(tmp_path,
     for name in NAMES:
         module = import_module(f"benchmarks.{name}")
         assert callable(module.measure) and "Target" in module.__doc__
+
+
+def test_a_row_of_trees_in_integers_has_what_was_proved_played_and_run(monkeypatch):
+    monkeypatch.setattr(microcontrollers.Target, "missing", lambda target: None)
+    right = microcontrollers.answers_hash
+
+    def ran(target, fixed, n, folder, in_floats=None):
+        return (
+            microcontrollers.Ran(right(fixed, n), 5, 6, 70) if in_floats is None else microcontrollers.Ran(0, 8, 9, 90)
+        )
+
+    monkeypatch.setattr(fixed_point, "run_on", ran)
+    monkeypatch.setattr(fixed_point, "EMLEARN", "")
+    best = fixed_point.Best("mountaincar", RESULTS / "runs/mountaincar/otr/depth-1/standard-ars/seed-0", "pruned", 2)
+    row = fixed_point._row(best, 1, 20)
+    lines = fixed_point.table([row]).splitlines()
+    heads, cells = (line.strip("| ").split(" | ") for line in (lines[-3], lines[-1]))
+    shown = dict(zip(heads, cells, strict=True))
+    assert 5e-6 < row.share < 5e-5 and shown["proved error"].startswith(f"{row.share:.3%} beyond ")
+    assert abs(row.integers - row.floats) < 0.1 and row.floats > 90
+    assert shown["leaves"] == "2" and shown["box"] == "declared" and shown["return, integers"] == f"{row.integers:.1f}"
+    assert shown["AVR: bytes"] == "70 (90)" and shown["Cortex-M0: instructions"] == "5 (8)"
+    assert "emlearn was not run" in fixed_point.table([row]) and "network (mountaincar)" in fixed_point.table([row])
+    monkeypatch.setattr(fixed_point, "answers_hash", lambda fixed, n: right(fixed, n) + 1)
+    with pytest.raises(RuntimeError, match="not those of Python"):
+        fixed_point._row(best, 1, 20)
 
 
 def test_functions_take_turns_and_the_least_round_counts():

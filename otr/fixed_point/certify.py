@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 
 from otr.clock import time_limit
-from otr.core.arrays import IntArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.network import ReluNetwork
@@ -15,6 +16,7 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.fixed_point.certificate import PARTS, FixedPointCertificate, digest_of
+from otr.fixed_point.leads import ANY_ERROR, LeadChecker, certificate_of_leads
 from otr.fixed_point.parts import (
     answer_ranges,
     head_slopes,
@@ -25,11 +27,10 @@ from otr.fixed_point.parts import (
     test_margins,
     wider_box,
 )
-from otr.fixed_point.pieces import bound_of, certificate_by_pieces
 from otr.fixed_point.slopes import largest_changes
 from otr.proof.certificate import Certificate
 from otr.proof.certify import certify
-from otr.proof.exact_rows import rounded_up
+from otr.proof.exact_rows import TreeAndNetwork, rounded_up
 from otr.proof.verify import verify
 
 Policy = ReluNetwork | PatternTree | ObliqueTree
@@ -52,8 +53,8 @@ def certify_fixed_point(
         fixed: the tree.
         network: the policy; a tree must be the one that was rounded, and is compared except near its tests.
         box: bounded.
-        max_error: refuse a larger error of the coefficients, in outputs before the head; where a bound leaf by leaf is
-            larger, `otr.certify` searches the network's regions, which takes long. None keeps that bound.
+        max_error: refuse a larger error of the coefficients, in outputs before the head; `otr.certify` then searches
+            the network's regions, which takes long. None takes the bound that few cells give.
         max_regions, max_seconds: as for `otr.certify`.
 
     Raises:
@@ -75,7 +76,14 @@ def certify_fixed_point(
         return _completed(fixed, policy, domain, None)
     wider = wider_box(domain, input_roundings(fixed, domain))
     with time_limit(max_seconds, lambda: "no certificate of the rounded tree was found"):
-        inner = _certificate(fixed.to_tree(), policy, wider, max_error, max_regions)
+        allowed = ANY_ERROR if max_error is None else max_error
+        if fixed.labels is None:
+            inner = certify(fixed.to_tree(), policy, wider, max_error=allowed, max_regions=max_regions)
+        elif (inner := certificate_of_leads(fixed.to_tree(), policy, wider)).max_error > allowed:
+            raise CertificateError(
+                f"the tree's label is proved where the network's lead is above {inner.max_error:.6g}, and max_error is "
+                f"{max_error:.6g}: give more bits"
+            )
     return _completed(fixed, policy, domain, inner)
 
 
@@ -83,9 +91,7 @@ def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | Obli
     """Return the policy that a tree is compared with; one of another kind, size or head is an error."""
     if isinstance(network, PatternTree):
         if network.is_restricted:
-            raise ValueError(
-                "the PatternTree has some of its network's paths alone; give the network, or its to_tree()"
-            )
+            raise ValueError("the PatternTree has only some of its network's paths; give the network or its to_tree()")
         network = network.network
     if not isinstance(fixed, FixedPointTree) or not isinstance(network, ReluNetwork | ObliqueTree):
         raise TypeError(
@@ -96,21 +102,6 @@ def checked_policy(fixed: FixedPointTree, network: Policy) -> ReluNetwork | Obli
     if ours != theirs:
         raise ValueError(f"the tree has (inputs, outputs, head) {ours}, the policy {theirs}; they must be the same")
     return network
-
-
-def _certificate(
-    tree: ObliqueTree, network: ReluNetwork, box: Domain, max_error: float | None, max_regions: int
-) -> Certificate:
-    """Return the certificate of the rounded coefficients, by pieces or, if that does not do, by a search."""
-    found = certificate_by_pieces(tree, network, box)
-    if max_error is None or found.max_error <= max_error:
-        return found
-    if tree.labels is not None:
-        raise CertificateError(
-            f"the tree's label is proved where the network's lead is above {found.max_error:.6g}, and max_error is "
-            f"{max_error:.6g}: give more bits"
-        )
-    return certify(tree, network, box, max_error=max_error, max_regions=max_regions)
 
 
 def _completed(
@@ -170,7 +161,11 @@ def verify_fixed_point(
         wider = wider_box(box, input_roundings(tree, box))
         if inner is None or (inner.domain.low > wider.low).any() or (inner.domain.high < wider.high).any():
             raise CertificateError("the certificate of the coefficients is missing, or of a smaller box")
-        bound_of(inner, tree.to_tree(), policy, max_seconds=max_seconds)
+        rounded = tree.to_tree()
+        if rounded.labels is None:
+            verify(inner, rounded, policy, max_seconds=max_seconds)
+        else:
+            LeadChecker(TreeAndNetwork(rounded, policy, inner.domain)).run(inner)
     proved = _completed(tree, policy, box, inner)
     if proved != certificate:
         raise CertificateError(f"the certificate claims {certificate}, and what is proved is {proved}")
@@ -181,24 +176,36 @@ def _refused(
     certificate: FixedPointCertificate, tree: FixedPointTree, policy: ReluNetwork | ObliqueTree
 ) -> CertificateError:
     """Return the refusal of a changed tree, with the state that contradicts the claim most, if one is found."""
-    box, rng = certificate.box, np.random.default_rng(0)
+    reason = "the certificate is of another FixedPointTree"
+    excess, state = largest_excess(tree, policy, certificate.box, certificate.max_errors, certificate.margins)
+    if excess <= 0:
+        return CertificateError(f"{reason}; no state was found that contradicts its claim: certify the tree again")
+    return CertificateError(
+        f"{reason}, and its claim fails at the state {state.tolist()}: the integers answer "
+        f"{tree.predict(state).tolist()}, the policy {policy.predict(state).tolist()}, and "
+        f"{certificate.max_error:.6g} is claimed",
+        state=tuple(map(Fraction, state.tolist())),
+    )
+
+
+def largest_excess(
+    tree: FixedPointTree,
+    policy: ReluNetwork | ObliqueTree,
+    box: Domain,
+    max_errors: Sequence[float],
+    margins: Sequence[float] | None = None,
+) -> tuple[float, FloatArray]:
+    """Return by how much an answer is farther from the policy's than is allowed, and where, of some states of a box."""
+    rng = np.random.default_rng(0)
     shares = rng.random((_N_STATES, tree.n_inputs))
     states = box.low + np.concatenate((shares, np.rint(shares))) * (box.high - box.low)
     ours, theirs = tree.predict(states), policy.predict(states)
     if tree.head.gives_labels:
         outputs = np.sort(np.column_stack((0 * states[:, : tree.n_outputs == 1], policy.forward(states))), axis=1)
-        excess = np.where(ours != theirs, outputs[:, -1] - outputs[:, -2:][:, 0] - certificate.max_error, -1.0)
+        excess = np.where(ours != theirs, outputs[:, -1] - outputs[:, -2:][:, 0] - max(max_errors), -1.0)
     else:
-        excess = (np.abs(ours - theirs) - certificate.max_errors).max(axis=1)
-    if certificate.margins is not None and isinstance(policy, ObliqueTree):
-        excess[(np.abs(states @ policy.P.T + policy.v) <= certificate.margins).any(axis=1)] = -1.0
+        excess = (np.abs(ours - theirs) - max_errors).max(axis=1)
+    if margins is not None and isinstance(policy, ObliqueTree):
+        excess[(np.abs(states @ policy.P.T + policy.v) <= margins).any(axis=1)] = -1.0
     worst = int(excess.argmax())
-    reason, state = "the certificate is of another FixedPointTree", states[worst]
-    if excess[worst] <= 0:
-        return CertificateError(f"{reason}; no state was found that contradicts its claim: certify the tree again")
-    return CertificateError(
-        f"{reason}, and its claim fails at the state {state.tolist()}: the integers answer "
-        f"{np.asarray(ours[worst]).tolist()}, the policy {np.asarray(theirs[worst]).tolist()}, and "
-        f"{certificate.max_error:.6g} is claimed",
-        state=tuple(map(Fraction, state.tolist())),
-    )
+    return float(excess[worst]), states[worst]

@@ -19,7 +19,7 @@ from otr.core.heads import TanhBox
 from otr.core.tree import ObliqueTree
 from otr.fixed_point.tanh_table import table_error
 from otr.geometry.rational import Integers, common_integers, integers
-from otr.proof.exact_rows import Bounds
+from otr.proof.exact_rows import Bounds, rounded_up
 
 _DIVISION = Fraction(1, 2**51)  # relative, by which x / scale may be off in float64
 
@@ -33,22 +33,17 @@ def input_roundings(fixed: FixedPointTree, box: Domain) -> list[Fraction]:
         nearest = scale / 2 + largest * abs(scale - 1 / t)
         if float(scale) != scale or math.frexp(scale)[0] != 0.5:
             nearest += (largest + 1) * scale * _DIVISION
-        bounds.append(max(nearest, low / t - Fraction(box.low[j]), Fraction(box.high[j]) - high / t))
+        ends, (first, last) = (low / t, high / t), map(Fraction, (box.low[j], box.high[j]))
+        farthest = max(last - ends[0], ends[1] - first)  # of any state and any integer
+        bounds.append(min(max(nearest, ends[0] - first, last - ends[1]), farthest))
     return bounds
 
 
 def wider_box(box: Domain, roundings: list[Fraction]) -> Domain:
     """Return the box with all that its states are rounded to."""
-    low, high = (side.tolist() for side in (box.low, box.high))
-    return Domain(
-        [_at_most(Fraction(x) - step) for x, step in zip(low, roundings, strict=True)],
-        [-_at_most(-Fraction(x) - step) for x, step in zip(high, roundings, strict=True)],
-    )
-
-
-def _at_most(value: Fraction) -> float:
-    nearest = float(value)
-    return nearest if Fraction(nearest) <= value else math.nextafter(nearest, -math.inf)
+    sides = (zip(side.tolist(), roundings, strict=True) for side in (-box.low, box.high))
+    low, high = ([rounded_up(Fraction(x) + step) for x, step in side] for side in sides)
+    return Domain([-x for x in low], high)
 
 
 def head_slopes(fixed: FixedPointTree) -> list[Fraction]:
@@ -91,9 +86,8 @@ def table_errors(fixed: FixedPointTree) -> list[Fraction]:
 def answer_ranges(head: Head, n_outputs: int) -> list[Fraction] | None:
     """Return the widths of the actions' ranges, (o,); None without limits."""
     limits = head.limits(n_outputs)
-    if limits is None:
-        return None
-    return [Fraction(high) - Fraction(low) for low, high in np.transpose(limits).tolist()]
+    pairs = None if limits is None else np.transpose(limits).tolist()
+    return None if pairs is None else [Fraction(high) - Fraction(low) for low, high in pairs]
 
 
 def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[Fraction]:
@@ -122,11 +116,13 @@ def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[
 
 
 def leaf_differences(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> tuple[list[Fraction], list[Fraction]]:
-    """Return by how much the maps of a leaf differ, and the rounded one changes by the inputs' rounding: (o,) each."""
+    """Return by how much a leaf's maps differ, and rounded inputs change its value, where the sum is largest: (o,)."""
     exact, rounded, power = _integers(tree.leaf_forms, fixed.to_tree().leaf_forms)
     bounds, steps = Bounds(box, power), np.array(input_roundings(fixed, box), dtype=object)
-    apart = [max(_largest(bounds, form) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
-    return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0) / 2**power)
+    apart = np.array([[_largest(bounds, form) for form in forms] for forms in exact - rounded], dtype=object)
+    changed = abs(rounded[..., :-1]) @ steps / 2**power
+    worst, outputs = (apart + changed).argmax(axis=0), np.arange(fixed.n_outputs)
+    return apart[worst, outputs].tolist(), changed[worst, outputs].tolist()
 
 
 def _integers(exact: FloatArray, rounded: FloatArray) -> tuple[Integers, Integers, int]:

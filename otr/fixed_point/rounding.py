@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,16 +24,29 @@ from otr.fixed_point.tanh_table import tanh_table
 from otr.proof.properties import output_range
 
 Scales = Sequence[float | Fraction | str]
+_MOST_NUMBERS = 2**23  # that the search for the inputs' words rounds
 _EXACT = 52  # bits of sums that are float64 numbers, too, whatever power of two they are multiplied by
 
 
 class Words(NamedTuple):
-    """What rows are rounded for: the largest |q| and the middle of each input, bits, and the largest sum."""
+    """What rows are rounded for: the inputs' ends, scales and widths, bits, and the largest sum."""
 
-    reach: FloatArray
-    middle: IntArray
+    low: IntArray
+    high: IntArray
+    steps: FloatArray  # what 1 of each input stands for
+    widths: FloatArray  # of the box, in steps
     bits: int
     capacity: float
+
+    @property
+    def reach(self) -> FloatArray:
+        """The largest |q| of each input."""
+        return np.maximum(abs(self.low), abs(self.high)).astype(np.float64)
+
+    @property
+    def middle(self) -> IntArray:
+        """The middle of each input."""
+        return np.asarray((self.low + self.high) // 2)
 
     @property
     def rounding(self) -> float:
@@ -51,6 +65,11 @@ class Words(NamedTuple):
         rows = np.rint(W * scale[..., None])
         offsets = np.rint((c + W @ self.middle) * scale - rows @ self.middle)
         return rows.astype(np.int64), offsets.astype(np.int64)
+
+    def errors(self, W: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return by how much rounded rows, of rounded inputs, are off at most (...)."""
+        rows = np.rint(W * scale[..., None]) / scale[..., None]
+        return np.asarray(np.abs(rows - W) @ (self.widths / 2) + np.abs(rows) @ np.minimum(self.widths, 0.5))
 
 
 def round_tree(
@@ -71,30 +90,24 @@ def round_tree(
         raise no_entry(tree.head, "to_fixed_point")
     if not 2 <= bits <= 24:
         raise ValueError(f"bits is {bits}, expected 2 to 24")
-    if input_scales is None:
-        # About half of the bits of a sum of d terms are for the inputs, and half for the coefficients.
-        word = min(bits, (accumulator_bits + 3 - tree.n_inputs.bit_length()) // 2)
-        reach = np.maximum(abs(domain.low), abs(domain.high)).tolist()
-        inputs = [Fraction(largest or 1.0) / (2 ** (word - 1) - 1) for largest in reach]
-    else:
-        inputs = _given(input_scales, tree.n_inputs, "input_scales")
-    low, high = (
-        np.array([round(Fraction(x) / scale) for x, scale in zip(side.tolist(), inputs, strict=True)], dtype=np.int64)
-        for side in (domain.low, domain.high)
-    )
     outputs = None if output_scales is None else _given(output_scales, tree.n_outputs, "output_scales")
     is_dyadic = all(scale.numerator.bit_count() == scale.denominator.bit_count() == 1 for scale in outputs or ())
     capacity = 2.0 ** min(accumulator_bits - 1, _EXACT if is_dyadic else _EXACT - 18) - 1
-    words = Words(np.maximum(abs(low), abs(high)).astype(np.float64), (low + high) // 2, bits, capacity)
+    is_given = outputs is not None and not isinstance(tree.head, TanhBox) and tree.labels is None
+    units = outputs if outputs is not None and is_given else _default_units(tree, domain, bits)
+    if input_scales is None:
+        inputs = _input_scales(tree, domain, bits, accumulator_bits, capacity, units)
+    else:
+        inputs = _given(input_scales, tree.n_inputs, "input_scales")
+    words = _words(inputs, domain, bits, capacity)
     if words.rounding >= capacity:
         raise InvalidTreeError(
             f"test 0: the rounding of its row alone may reach {words.rounding:.0f}, and a sum is to stay below "
             f"{capacity:.0f}: give accumulator_bits=64, or fewer bits"
         )
-    steps = np.array([float(scale) for scale in inputs])
-    W, v = tree.P * steps, np.asarray(tree.v)
+    W, v = tree.P * words.steps, np.asarray(tree.v)
     P, thresholds = words.rounded(W, v, words.scale(W, v))
-    leaves = _leaves(tree, domain, steps, words, outputs)
+    leaves = _leaves(tree, words, units, outputs)
     return FixedPointTree(
         tree.children_left,
         tree.children_right,
@@ -103,8 +116,8 @@ def round_tree(
         leaves.M,
         leaves.c,
         leaves.shifts,
-        low,
-        high,
+        words.low,
+        words.high,
         tuple(inputs),
         leaves.scales,
         bits,
@@ -117,6 +130,53 @@ def round_tree(
     )
 
 
+def _words(inputs: Sequence[Fraction], domain: Domain, bits: int, capacity: float) -> Words:
+    """Return the words of inputs with some scales."""
+    sides = ([Fraction(x) for x in side.tolist()] for side in (domain.low, domain.high))
+    low, high = ([round(x / scale) for x, scale in zip(side, inputs, strict=True)] for side in sides)
+    ends, steps = np.array((low, high), dtype=np.int64), _sizes(inputs)
+    return Words(ends[0], ends[1], steps, (domain.high - domain.low) / steps, bits, capacity)
+
+
+def _input_scales(
+    tree: ObliqueTree, domain: Domain, bits: int, accumulator_bits: int, capacity: float, units: Sequence[Fraction]
+) -> list[Fraction]:
+    """Return what 1 of each input stands for: words of 2 to `bits` bits, not all of the same length.
+
+    A longer word rounds its input less and, as its coefficient is smaller, that one more. All words start with about
+    half of the bits of a sum; one is changed at a time while the largest error of a leaf, cubed, times the largest
+    distance from a test becomes smaller.
+    """
+    reach = [Fraction(largest or 1.0) for largest in np.maximum(abs(domain.low), abs(domain.high)).tolist()]
+    sizes = np.maximum(np.sqrt((tree.P**2).sum(axis=1)), 1e-300)
+    n_left = _MOST_NUMBERS // (tree.P.size + tree.M.size)
+
+    def scales(lengths: Sequence[int]) -> list[Fraction]:
+        return [largest / (2 ** (length - 1) - 1) for largest, length in zip(reach, lengths, strict=True)]
+
+    def cost(lengths: Sequence[int]) -> float:
+        words, of_leaves = _words(scales(lengths), domain, bits, capacity), 0.0
+        if words.rounding >= capacity:
+            return math.inf
+        W, M = tree.P * words.steps, tree.M * words.steps
+        distance = (words.errors(W, words.scale(W, tree.v)) / sizes).max(initial=0.0)
+        if tree.labels is None:
+            errors = words.errors(M, np.exp2(_shifts(words, M, tree.c, units)) / _sizes(units))
+            of_leaves = (errors.max(axis=0) / _sizes(units)).max()
+        return float((of_leaves or 1.0) ** 3 * (distance or 1.0))
+
+    best, improves = [min(bits, (accumulator_bits + 3 - tree.n_inputs.bit_length()) // 2)] * tree.n_inputs, True
+    least = cost(best)
+    while improves:
+        improves = False
+        for i, change in product(range(tree.n_inputs), (1, -1, -2)):
+            tried = [*best[:i], best[i] + change, *best[i + 1 :]]
+            if n_left > 0 and 2 <= tried[i] <= bits and (found := cost(tried)) < 0.999 * least:
+                best, least, improves = tried, found, True
+            n_left -= 1
+    return scales(best)
+
+
 class _Leaves(NamedTuple):
     M: IntArray
     c: IntArray
@@ -125,18 +185,15 @@ class _Leaves(NamedTuple):
     table: TanhTable | None = None
 
 
-def _leaves(
-    tree: ObliqueTree, domain: Domain, steps: FloatArray, words: Words, given: list[Fraction] | None
-) -> _Leaves:
+def _leaves(tree: ObliqueTree, words: Words, units: list[Fraction], given: list[Fraction] | None) -> _Leaves:
     """Return the leaves' rows, whose shifts are the largest for their word, in the finest units that these allow."""
     o = tree.n_outputs
     if tree.labels is not None:
         none = np.zeros(tree.c.shape, dtype=np.int64)
-        return _Leaves(np.zeros(tree.M.shape, dtype=np.int64), none, none, (Fraction(1),) * o)
-    W, c = tree.M * steps, tree.c
-    units = given if given is not None and not isinstance(tree.head, TanhBox) else None
-    if units is None:
-        units = _finest(words, W, c, _default_units(tree, domain, words.bits), tree.head)
+        return _Leaves(np.zeros(tree.M.shape, dtype=np.int64), none, none, tuple(units))
+    W, c = tree.M * words.steps, tree.c
+    if given is None or isinstance(tree.head, TanhBox):
+        units = _finest(words, W, c, units, tree.head)
     scale = words.scale(W, c)
     shifts = _shifts(words, W, c, units)
     if shifts.size and shifts.min() < 0:
@@ -147,8 +204,7 @@ def _leaves(
             f"and with {words.bits} bits and sums below {words.capacity:.0f} by {largest:.6g} at most: give a coarser "
             "output scale, more bits or accumulator_bits=64"
         )
-    powers = np.exp2(shifts) / np.array([float(unit) for unit in units])
-    M, offsets = words.rounded(W, c, powers)
+    M, offsets = words.rounded(W, c, np.exp2(shifts) / _sizes(units))
     if not isinstance(tree.head, TanhBox):
         return _Leaves(M, offsets, shifts, tuple(units))
     halves = [width / 2 for width in answer_ranges(tree.head, o) or ()]
@@ -166,10 +222,14 @@ def _leaves(
 
 def _shifts(words: Words, W: FloatArray, c: FloatArray, units: Sequence[Fraction]) -> IntArray:
     """Return by how many bits the rows' sums may be finer than the units, (n_leaves, o); below 0 if none are."""
-    sizes = np.array([float(unit) for unit in units])
+    sizes = _sizes(units)
     scale = words.scale(W, np.abs(c) + sizes / 2)  # half a unit is added before the shift
     shifts = np.floor(np.log2(scale * sizes))
     return np.asarray(np.minimum(shifts, math.floor(math.log2(words.capacity)) - 1).astype(np.int64))
+
+
+def _sizes(units: Sequence[Fraction]) -> FloatArray:
+    return np.array([float(unit) for unit in units])
 
 
 def _finest(words: Words, W: FloatArray, c: FloatArray, units: list[Fraction], head: Head) -> list[Fraction]:
@@ -198,6 +258,8 @@ def _given(scales: Scales, n: int, name: str) -> list[Fraction]:
 
 def _default_units(tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
     """Return what 1 of a leaf's integer is to stand for, (o,), where no row needs a coarser unit."""
+    if tree.labels is not None:
+        return [Fraction(1)] * tree.n_outputs
     if isinstance(tree.head, TanhBox):
         return [Fraction(1, 2**bits)] * tree.n_outputs
     limits = tree.head.limits(tree.n_outputs)

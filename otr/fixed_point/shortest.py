@@ -8,11 +8,12 @@ from typing import Any
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.heads import Identity
+from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import CertificateError, InvalidTreeError
 from otr.fixed_point.certificate import FixedPointCertificate
-from otr.fixed_point.certify import Policy, certify_fixed_point
+from otr.fixed_point.certify import Policy, certify_fixed_point, checked_policy, largest_excess
 from otr.fixed_point.parts import answer_ranges
 from otr.fixed_point.rounding import Scales, round_tree
 from otr.proof.properties import output_range
@@ -40,8 +41,8 @@ def to_fixed_point(
         box: the states, bounded; inputs beyond are clamped to its sides.
         bits: of coefficients, inputs and outputs, 2 to 24; None for the fewest, from 4 on, with which `max_error` is
             proved of `network`.
-        input_scales: what 1 of each input stands for (d,), of a sensor or converter; default: the largest |x| of
-            the box over the largest integer of the word.
+        input_scales: what 1 of each input stands for (d,), of a sensor or converter; default: the largest |x| of the
+            box over the largest integer of a word, for each input one with which errors are small, of 2 to `bits` bits.
         output_scales: what 1 of each answer stands for (o,); default: the same of the action's range or, of TanhBox,
             half the range over the word.
         accumulator_bits: 32 or 64.
@@ -61,11 +62,8 @@ def to_fixed_point(
         (array([[16],
                [48]]), array([0.5]))
     """
-    given: dict[str, Any] = {
-        "input_scales": input_scales,
-        "output_scales": output_scales,
-        "accumulator_bits": accumulator_bits,
-    }
+    given: dict[str, Any] = {"input_scales": input_scales, "output_scales": output_scales}
+    given["accumulator_bits"] = accumulator_bits
     if bits is not None:
         if max_error is not None or network is not None:
             raise ValueError("max_error and network choose the bits: give bits=None, or leave them out")
@@ -99,9 +97,13 @@ def shortest_fixed_point(
         except InvalidTreeError as error:
             reason = error
             continue
-        proof = certify_fixed_point(fixed, tree if network is None else network, domain)
-        widths = _widths(fixed, tree, domain)
-        if all(error <= max_error * width for error, width in zip(proof.max_errors, widths, strict=True)):
+        policy = checked_policy(fixed, tree if network is None else network)
+        allowed = [max_error * width for width in _widths(fixed, tree, domain)]
+        if isinstance(policy, ReluNetwork) and largest_excess(fixed, policy, domain, list(map(float, allowed)))[0] > 0:
+            reason = f"with {bits} bits an answer is off by more"
+            continue
+        proof = certify_fixed_point(fixed, policy, domain)
+        if all(error <= most for error, most in zip(proof.max_errors, allowed, strict=True)):
             return fixed, proof
         reason = f"with {bits} bits it is {proof}"
     raise CertificateError(f"no words of {_LEAST_BITS} to {_MOST_BITS} bits are proved to {max_error:g}: {reason}")

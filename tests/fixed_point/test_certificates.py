@@ -9,6 +9,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import otr
+from otr.clock import time_limit
+from otr.fixed_point.leads import LeadChecker, certificate_of_leads
+from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import boundary_states, cases, make_network
 
 BOX = (-2.0, 2.0)
@@ -65,6 +68,28 @@ def test_away_from_its_tests_a_tree_is_as_near_as_is_proved(case, bits, seed):
     if tree.labels is not None:
         assert proof.max_error == 0
     assert_holds(fixed, tree, proof, X)
+
+
+@pytest.mark.parametrize(("layers", "n_outputs", "seed"), [((), 3, 3), ((4,), 3, 24), ((3,), 1, 9)])
+def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n_outputs, seed):
+    rng, head = np.random.default_rng(seed), "argmax" if n_outputs > 1 else "sign"
+    network = make_network(rng, layers, n_inputs=2, n_outputs=n_outputs, head=head)
+    rounded = otr.to_fixed_point(otr.map_network(network), BOX, 5).to_tree()
+    proof = certificate_of_leads(rounded, network, otr.Domain([BOX[0]] * 2, [BOX[1]] * 2))
+    X = rng.uniform(*BOX, (50_000, 2))
+    scores, labels = network.forward(X), rounded.predict(X)
+    scores = np.column_stack((0 * scores, scores)) if n_outputs == 1 else scores
+    seen = (scores.max(axis=1) - scores[np.arange(len(X)), labels]).max()
+    assert 0 < seen <= proof.max_error < 2 * seen
+    with pytest.raises(otr.TimeLimitError), time_limit(0.0, lambda: ""):
+        certificate_of_leads(rounded, network, proof.domain)
+    checker = LeadChecker(TreeAndNetwork(rounded, network, proof.domain))
+    assert checker.run(proof) == proof.max_error
+    with pytest.raises(otr.CertificateError, match="may differ by"):
+        checker.run(replace(proof, max_error=0.99 * proof.max_error))
+    cells = [replace(cell, outcomes=cell.outcomes.translate(str.maketrans("01", "10"))) for cell in proof.cells]
+    with pytest.raises(otr.CertificateError, match="may differ by"):
+        checker.run(replace(proof, cells=tuple(cells)))
 
 
 NETWORK = make_network(np.random.default_rng(3), (3,), n_inputs=3, head="clip_box")
@@ -128,7 +153,9 @@ def test_a_smaller_claim_or_another_network_is_refused():
     tree = otr.minimal_tree(NETWORK, BOX)
     fixed = otr.to_fixed_point(tree, BOX, 12)
     proof = otr.certify_fixed_point(fixed, NETWORK, BOX)
-    for part in ({"max_errors": (proof.max_error * 0.99,)}, {"certificate": replace(proof.certificate, max_error=0.0)}):
+    parts = proof.parts | {"inputs": (proof.parts["inputs"][0] / 2,)}
+    claims = {"max_errors": (proof.max_error * 0.99,)}, {"parts": parts}
+    for part in (*claims, {"certificate": replace(proof.certificate, max_error=0.0)}):
         with pytest.raises(otr.CertificateError, match=r"claims|leaf"):
             otr.verify(replace(proof, **part), fixed, NETWORK)
     with pytest.raises(otr.CertificateError, match="smaller box"):
@@ -149,6 +176,21 @@ def test_a_smaller_error_is_searched_for(tmp_path):
     assert loaded == tight and otr.verify(loaded, fixed, network) == tight.max_error
     with pytest.raises(otr.CertificateError, match="at the state"):
         otr.certify_fixed_point(fixed, network, BOX, max_error=0.3 * loose.certificate.max_error)
+
+
+def test_words_of_inputs_have_the_lengths_with_which_the_least_is_proved():
+    names = ["x", "y", "z", "a", "b", "c"]
+    tree = otr.parse_program("100 x - y / 5 + z / 4 + a / 3 - b / 7 + c / 9", names).replace(head=otr.ClipBox(-1, 1))
+    fixed, equal = (otr.to_fixed_point(tree, (-1, 1), input_scales=s) for s in (None, [1 / 32767] * 6))
+    proved, of_equal = (otr.certify_fixed_point(each, tree, (-1, 1)).max_error for each in (fixed, equal))
+    assert proved < 0.4 * of_equal
+    assert fixed.input_high[0] == 32767 and (fixed.input_high < 4096).sum() >= 4
+
+
+def test_an_input_that_hardly_varies_is_hardly_rounded():
+    tree = otr.parse_program("1000 (x - 1)", ["x"])
+    proof = otr.certify_fixed_point(otr.to_fixed_point(tree, ([1], [1 + 1e-7])), tree, ([1], [1 + 1e-7]))
+    assert 1e-4 <= proof.parts["inputs"][0] < 2e-4
 
 
 def test_the_shortest_words_are_those_that_are_proved_and_fewer_are_not():

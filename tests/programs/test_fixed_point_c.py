@@ -89,6 +89,20 @@ def test_the_file_tests_itself(tmp_path: Path) -> None:
         otr.to_c(committed("hopper"), test_states=np.zeros((1, 11), dtype=int))
 
 
+@needs_compiler
+@pytest.mark.parametrize("name", ["hopper", "labels", "wide_sums"])
+def test_a_plain_main_answers_integers_that_it_reads(name: str, tmp_path: Path) -> None:
+    fixed = TREES[name]
+    Q = integers_for(fixed, 50)
+    (tmp_path / "policy.c").write_text(otr.to_c(fixed, test_states=Q))
+    command = [str(COMPILER), *FLAGS, "-DPOLICY_MAIN", str(tmp_path / "policy.c"), "-o", str(tmp_path / "main")]
+    subprocess.run(command, check=True)
+    given = "\n".join(" ".join(map(str, q)) for q in Q.tolist())
+    printed = subprocess.run([str(tmp_path / "main")], input=given, capture_output=True, text=True, check=True).stdout
+    answers = np.array([line.split() for line in printed.splitlines()], dtype=int)
+    np.testing.assert_array_equal(answers, fixed.predict_integers(Q).reshape(len(Q), -1))
+
+
 def test_python_of_integers_alone() -> None:
     for name, fixed in TREES.items():
         source, Q = otr.to_python(fixed, name="of"), integers_for(fixed, 1000)

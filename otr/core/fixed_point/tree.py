@@ -263,15 +263,10 @@ class FixedPointTree:
         _require(tuple(map(len, scales)) == (d, o), f"there are scales {scales}", (d, o))
         _require(min(map(min, scales)) > 0, f"the scales are {scales}", "numbers above 0")
         _require(
-            sizes[0] in (32, 64) and 2 <= sizes[1] <= 24,
-            f"accumulator and words have {sizes[:2]} bits",
-            "32 or 64, 2 to 24",
+            sizes[0] in (32, 64) and 2 <= sizes[1] <= 24, f"sums and words have {sizes[:2]} bits", "32 or 64, 2 to 24"
         )
-        _require(
-            bool((self.input_low <= self.input_high).all()),
-            f"input_low is {self.input_low}",
-            f"at most {self.input_high}",
-        )
+        is_box = bool((self.input_low <= self.input_high).all())
+        _require(is_box, f"input_low is {self.input_low}", f"at most {self.input_high}")
         _require(sizes[2] <= sizes[0], f"inputs have {sizes[2]} bits", f"at most {sizes[0]}")
         for name in ("P", "M"):
             largest, limit = int(np.abs(getattr(self, name)).max(initial=0)), 2 ** (self.bits - 1)

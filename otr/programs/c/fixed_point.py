@@ -104,7 +104,7 @@ def fixed_point_code(
     n_bytes = sum(table.n_bytes for table in tables)
     lines = [*_comment(code, n_bytes), "#include <stdint.h>", *_macros(code, text), "", *text]
     if test_states is not None:
-        lines += _self_test(code, np.asarray(test_states))
+        lines += [*_self_test(code, np.asarray(test_states)), *_main(code)]
     return re.sub("\n{3,}", "\n\n", "\n".join(lines)) + "\n"
 
 
@@ -376,6 +376,36 @@ def _self_test(code: FixedCode, states: IntArray) -> list[str]:
         *compared,
         "    }",
         "    return n_wrong != 0;",
+        "}",
+        "#endif",
+    ]
+
+
+def _main(code: FixedCode) -> list[str]:
+    """Return a main() that answers integers from the standard input, under name_MAIN."""
+    d, o = code.fixed.n_inputs, 1 if code.gives_labels else code.fixed.n_outputs
+    answered = f"y[0] = {code.name}_label(x);" if code.gives_labels else f"{code.name}(x, y);"
+    return [
+        "",
+        f"#ifdef {code.name.upper()}_MAIN  /* replace what reads by your sensors, what prints by your actuators */",
+        "#include <stdio.h>",
+        "",
+        "int main(void)",
+        "{",
+        f"    {code.input_type} x[{d}];",
+        f"    {code.sum_type} y[{o}];",
+        "    long read;",
+        "    int k;",
+        "    for (;;) {",
+        f"        for (k = 0; k < {d}; k++) {{",
+        '            if (scanf("%ld", &read) != 1)',
+        "                return 0;",
+        f"            x[k] = ({code.input_type})read;",
+        "        }",
+        f"        {answered}",
+        f"        for (k = 0; k < {o}; k++)",
+        f"            printf(\"%lld%c\", (long long)y[k], k < {o - 1} ? ' ' : '\\n');",
+        "    }",
         "}",
         "#endif",
     ]

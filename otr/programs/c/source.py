@@ -61,7 +61,8 @@ def to_c(
         feature_names, output_names: as in `to_text`, for the comment at the top.
         error: what `float_error` returned for the tree and the type, which the comment says.
         test_states: of a `FixedPointTree` integers (n, d), for which the file has a ``main()`` that returns 0 if all
-            answers are Python's; it is compiled where ``NAME_TEST`` is defined.
+            answers are Python's, compiled where ``NAME_TEST`` is defined, and one that answers integers from the
+            standard input, where ``NAME_MAIN`` is.
 
     Raises:
         TypeError: `policy` is something else.

@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help run test test-all test-oldest lint smoke bench docs report reproduce-table pack format clean
+.PHONY: help run test test-all test-oldest lint smoke bench docs dist report reproduce-table pack format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -79,6 +79,20 @@ docs: .venv/.installed-docs  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	$(BIN)/otr-report gallery=site/gallery/pages
 
+# Nothing but numpy and scipy is there: the library's example runs, and a command says which extra it needs.
+DIST := .venv-dist/bin
+dist:  ## wheel and sdist in dist/, checked, and installed in an empty environment
+	rm -rf dist
+	$(PYTHON) -m venv --clear .venv-dist
+	$(DIST)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt build twine
+	$(DIST)/python -m build --outdir dist
+	$(DIST)/twine check --strict dist/*
+	for file in dist/*; do \
+	    $(PYTHON) -m venv --clear .venv-dist && \
+	    $(DIST)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $$file && \
+	    (cd .venv-dist && bin/python -c "import doctest, otr; assert doctest.testmod(otr) == (0, 5)") && \
+	    ($(DIST)/otr-run env=pendulum 2>&1 || true) | grep "pip install 'otr\[run\]'" || exit 1; done
+
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -101,4 +115,4 @@ pack: .venv/.installed  ## pack the runs and fits under results, an archive each
 	$(BIN)/python -m pipelines.cli.pack results
 
 clean:  ## remove the virtual environment and caches; results stay
-	rm -rf .venv .venv-oldest site .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-oldest .venv-dist dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis

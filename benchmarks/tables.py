@@ -5,7 +5,7 @@ are encoded as `otr-fit` encodes them and standardised, both by training rows. E
 OTR neurons) on a quarter of the training rows, the same for all, and is then fitted to all of them. Scores are accuracy
 or R2 on the other rows. A lead is the score less that of scikit-learn's CART, with its 95 % interval over the splits
 (`resplit_interval`). Seconds are CPU seconds of the last fit. Peers that are not installed are left out:
-`pip install 'otr[benchmarks]'`.
+`pip install '.[benchmarks]'`.
 
 `python -m benchmarks.tables` writes the table of docs/tables.md from results/benchmarks/tables.json.
 

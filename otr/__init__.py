@@ -67,6 +67,7 @@ if TYPE_CHECKING:
         read_policy as read_policy,
     )
     from otr.importers.critics import Critics as Critics, read_critics as read_critics
+    from otr.importers.hub import from_hub as from_hub
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
     from otr.programs.c.float_error import FloatErrorBound as FloatErrorBound, float_error as float_error
     from otr.programs.c.source import to_c as to_c
@@ -122,6 +123,7 @@ _NAMES_OF_MODULES = {
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.critics": "Critics read_critics",
+    "importers.hub": "from_hub",
     "importers.input_statistics": "ObservationStatistics",
     "programs.c.float_error": "FloatErrorBound float_error",
     "programs.c.source": "to_c",

@@ -13,6 +13,7 @@ from otr.errors import MissingExtraError
 
 # A package as it is imported: its name for pip, and the extra of otr that installs it.
 _EXTRAS = {
+    "huggingface_hub": ("huggingface_hub", "hub"),
     "joblib": ("joblib", "learn"),
     "matplotlib": ("matplotlib", "plots"),
     "onnx": ("onnx", "onnx"),

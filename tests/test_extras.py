@@ -14,7 +14,8 @@ from otr.extras import naming_the_extra
 
 ASKED = """
 import sys
-sys.modules.update(dict.fromkeys(["gymnasium", "joblib", "matplotlib", "onnx", "skops", "sklearn", "torch"]))
+missing = ["gymnasium", "huggingface_hub", "joblib", "matplotlib", "onnx", "skops", "sklearn", "torch"]
+sys.modules.update(dict.fromkeys(missing))
 import json
 import numpy as np
 import otr
@@ -27,6 +28,7 @@ calls = {
     "otr.from_sb3": lambda: otr.from_sb3(sys.argv[1]),
     "otr.from_sklearn": lambda: otr.from_sklearn(None),
     "otr.read_policy": lambda: importers.read_policy("policy.skops"),
+    "otr.from_hub": lambda: otr.from_hub("org/name"),
     "otr.from_onnx": lambda: otr.from_onnx(b""),
     "otr.rollout": lambda: otr.rollout("CartPole-v1", tree),
     "otr.evaluate": lambda: otr.evaluate("CartPole-v1", tree),
@@ -66,6 +68,7 @@ NEEDS = {
     "scikit-learn, learn": ("otr.from_sklearn", "otr.learners.CARTClassifier"),
     "skops, learn": ("otr.read_policy",),
     "onnx, onnx": ("otr.from_onnx", "otr.to_onnx"),
+    "huggingface_hub, hub": ("otr.from_hub",),
     "gymnasium, run": ("otr.rollout", "otr.evaluate"),
     "matplotlib, plots": ("otr.draw_tree", "otr.save_picture"),
 }

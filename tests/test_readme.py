@@ -1,7 +1,6 @@
 """README does what it says: its Python is run, in one folder with a saved model, and its table is that of the runs."""
 
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import otr
 from pipelines.report.headline import headline_table
 from pipelines.report.verdicts import verdicts
 from tests.committed import RESULTS
-from tests.pipelines.conftest import otr_succeeds
 
 README = Path(__file__).parents[1] / "README.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
@@ -54,20 +52,6 @@ def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert (read.predict(states) == names["tree"].predict(states)).mean() > 0.99
     assert "\nnearest state of another label, " in why
     assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]
-
-
-@pytest.mark.slow
-def test_the_commands_of_your_zip_run(folder: Path) -> None:
-    text = README.read_text(encoding="utf-8").partition("## Your zip")[2]
-    lines = re.findall(r"^otr-.*$", text.split("```")[1], flags=re.MULTILINE)
-    assert len(lines) == 4
-    (folder / "policy.zip").write_bytes((folder / "model.zip").read_bytes())
-    for program, *words in (shlex.split(line, comments=True) for line in lines):
-        runs = [path.parent.as_posix() for path in folder.glob("results/runs/CartPole-v1/model/**/summary.json")]
-        otr_succeeds(
-            program, *(word.replace("FOLDER", *runs) if "FOLDER" in word else word for word in words), cwd=folder
-        )
-    assert "double" in (folder / "policy.c").read_text() and "<html" in (folder / "policy.html").read_text()[:200]
 
 
 def test_tables_are_those_of_the_committed_runs() -> None:

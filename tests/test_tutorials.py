@@ -20,10 +20,19 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 torch.set_num_threads(1)
 
 
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Return the language and the text of a page's blocks, or of a notebook's cells of code."""
+    if page.suffix == ".md":
+        return BLOCK.findall(page.read_text(encoding="utf-8"))
+    cells = json.loads(page.read_text(encoding="utf-8"))["cells"]
+    code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
+    return [("", re.sub("^!", "", each, flags=re.M)) if each[0] == "!" else ("python", each) for each in code]
+
+
 def execute(page: Path, folder: Path) -> dict:
     """Execute a page's blocks: Python with the names of the blocks before, commands in the folder; return the names."""
     names: dict = {}
-    for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+    for language, block in blocks(page):
         if language == "python":
             exec(compile(block, str(page), "exec"), names)
             continue
@@ -36,9 +45,15 @@ def execute(page: Path, folder: Path) -> dict:
     return names
 
 
-def test_from_a_zip_to_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+PAGE_AND_NOTEBOOK = pytest.mark.parametrize(
+    "page", ["{}.md", pytest.param("notebooks/{}.ipynb", marks=pytest.mark.slow)]
+)
+
+
+@PAGE_AND_NOTEBOOK
+def test_from_a_zip_to_c(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    names = execute(DOCS / "tutorial.md", tmp_path)
+    names = execute(DOCS / page.format("tutorial"), tmp_path)
     net, better, played = names["net"], names["better"], names["played"]
     assert names["full"].n_leaves == 128 > names["tree"].n_leaves
     before, after = (otr.evaluate("CartPole-v1", each).mean_return for each in (net, better))
@@ -48,11 +63,12 @@ def test_from_a_zip_to_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert (tmp_path / "policy.html").stat().st_size > 10_000 and "return" in (tmp_path / "policy.c").read_text()
 
 
+@PAGE_AND_NOTEBOOK
 def test_from_a_csv_to_a_tree(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    names = execute(DOCS / "tutorial-data.md", tmp_path)
+    names = execute(DOCS / page.format("tutorial-data"), tmp_path)
     X, y = names["X"][450:], names["y"][450:]
     assert names["one"].score(X, y) > max(0.97, names["many"].score(X, y))
     assert names["one"].tree_.n_leaves < names["many"].tree_.n_leaves
@@ -66,9 +82,7 @@ def test_the_notebook_is_the_page(name: str) -> None:
     text = (DOCS / f"notebooks/{name}.ipynb").read_text(encoding="utf-8")
     assert text == make["notebook"](DOCS / f"{name}.md"), "run python docs/notebooks/make.py"
     cells = json.loads(text)["cells"]
-    code = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
-    assert re.sub("^!", "", code, flags=re.MULTILINE) == "\n".join(
-        block.rstrip("\n") for _, block in BLOCK.findall((DOCS / f"{name}.md").read_text(encoding="utf-8"))
-    )
+    pages_blocks = [block.rstrip("\n") for _, block in blocks(DOCS / f"{name}.md")]
+    assert [block for _, block in blocks(DOCS / f"notebooks/{name}.ipynb")] == pages_blocks
     assert [link for cell in cells for link in re.findall(r"\]\(([^)#:]+)", cell["source"])
             if not (DOCS / "notebooks" / link).exists()] == []  # fmt: skip

@@ -32,7 +32,7 @@ _EXPECTED = (
     "mean, epsilon, and var, of (x - mean) / sqrt(var + epsilon), or std, of (x - mean) / (std + epsilon); clip where "
     "the result was clipped"
 )
-_FILE = "vecnormalize.pkl"  # as rl-baselines3-zoo names it
+STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")  # rl-baselines3-zoo's: on disk, and on the Hugging Face Hub
 AUTO = "auto"  # in place of statistics: those of the live model, or of the file next to a saved one
 
 
@@ -55,12 +55,12 @@ class ObservationStatistics:
 def find_statistics(model: Path) -> tuple[Path | None, str]:
     """Return the file of statistics next to a saved model, and a note for the user.
 
-    Looked for is ``vecnormalize.pkl`` in the folder that is named as the zip is (where rl-baselines3-zoo saves it), and
-    in the zip's own folder. Where there is none, the text says whether the model's file shows that one is missing; it
-    is empty where nothing does.
+    Looked for is ``vecnormalize.pkl``, or ``vec_normalize.pkl``, in the folder that is named as the zip is (where
+    rl-baselines3-zoo saves it), and in the zip's own folder. Where there is none, the text says whether the model's
+    file shows that one is missing; it is empty where nothing does.
     """
     model = zip_path(model)
-    for file in (model.with_suffix("") / _FILE, model.with_name(_FILE)):
+    for file in (folder / name for folder in (model.with_suffix(""), model.parent) for name in STATISTICS):
         if file.is_file():
             return file, (
                 f"{model} is read with the statistics of {file}, which is next to it: its network takes raw states; "
@@ -70,7 +70,7 @@ def find_statistics(model: Path) -> tuple[Path | None, str]:
     if not sign:
         return None, ""
     return None, (
-        f"{model} {sign}, so the network may expect normalised states, and no {_FILE} is next to it; "
+        f"{model} {sign}, so the network may expect normalised states, and no {STATISTICS[0]} is next to it; "
         "normalise=FILE names the file that VecNormalize.save wrote, normalise=None says that there is none"
     )
 

@@ -10,12 +10,12 @@ from typing import Any, get_type_hints
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import AnyNode, DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException, ValidationError
 
+from pipelines.cli.launching import launch
 from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.setting import DERIVED, declared, expected, is_list
@@ -164,12 +164,10 @@ class Composer:
         return settings
 
     def launch(self, tasks: Sequence[Any], overrides: Sequence[str]) -> list[Any]:
-        """Return what tasks return (see `hydra_plugins/otr_sweeper.py`), under the launcher that the overrides name."""
+        """Return what tasks return, under the launcher that the overrides name."""
+        asked = [*self._search_path(), *map(self.with_list, [*self.implied(overrides), *overrides])]
         with self.hydra():
-            hydra: Any = GlobalHydra.instance().hydra
-            asked = [*self._search_path(), *map(self.with_list, [*self.implied(overrides), *overrides])]
-            returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
-        return returned
+            return launch(tasks, compose(self.name, asked, return_hydra_config=True))
 
     def check_option(self, group: str, value: str) -> None:
         """Raise ConfigError, with the nearest known names, if a group has no such option."""

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-import pipelines
 from otr.control.environments import GymnasiumVectorEnv
 from otr.control.rollout import play_side_by_side
 from pipelines.cli.runs import run_config
@@ -44,4 +43,4 @@ def _row(task: str) -> dict[str, Any]:
 
 if __name__ == "__main__":
     rows = [_row(task) for task in TASK_NAMES]
-    write_csv(Path(pipelines.__file__).with_name("random_returns.csv"), rows, rows[0])
+    write_csv(Path(__file__).parents[1] / "random_returns.csv", rows, rows[0])

@@ -9,6 +9,7 @@ import otr
 from otr.core.smooth_network import Oracle
 from otr.importers import read_policy
 from otr.importers.critics import Critics, critics_of_zip
+from otr.importers.hub import HUB, policy_file
 from otr.importers.input_statistics import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
@@ -49,7 +50,7 @@ def read_model(
     """Return the policy in a file of one of the kinds that `otr.importers.read_policy` reads.
 
     Args:
-        model: path of the file; a zip's suffix may be left out.
+        model: path of the file; a zip's suffix may be left out; or hf://org/name (`otr.from_hub`).
         normalise: path of a file of statistics that `otr.read_policy` takes, or "none"; where it is None, one is looked
             for next to a zip.
         env: its observations and actions are compared with the policy's.
@@ -60,7 +61,10 @@ def read_model(
         ConfigError: there is no such file, it is of another kind, no policy can be read from it, or not for this
             environment.
     """
-    path = Path(model).expanduser()
+    try:
+        path = policy_file(model) if model.startswith(HUB) else Path(model).expanduser()
+    except otr.OtrError as error:
+        raise ConfigError(f"{key}={model}: {error}") from error
     if path.suffix == "" and not path.exists():  # Stable-Baselines3 adds the suffix where it is left out
         path = path.with_name(f"{path.name}.zip")
     statistics, note = None, ""

@@ -27,11 +27,14 @@ def recipes(budget: str) -> dict[str, dict[str, list[str]]]:
 def recipe(given: Mapping[str, str], method: str | None = None) -> list[str]:
     """Return the overrides of the recipe for what is given, by key: of the environment, or of another version of it.
 
+    One of the environment with this depth, as `halfcheetah/32`, comes before that of the environment.
+
     `method` is in place of the given one: `default` is the recipe of a command that names none.
     """
     env = given.get("env", "")
     by_env = recipes(given.get("budget") or _default_budget()).get(method or given.get("method", "otr"), {})
-    return next((by_env[name] for name in (env, env.rsplit("_v", 1)[0]) if name in by_env), [])
+    names = [f"{name}{depth}" for name in (env, env.rsplit("_v", 1)[0]) for depth in (f"/{given.get('depth')}", "")]
+    return next((by_env[name] for name in names if name in by_env), [])
 
 
 def remaining(overrides: Sequence[str], given: Mapping[str, str]) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from pipelines.config.methods import METHODS
+from pipelines.config.recipe import recipe
 from pipelines.config.trainer import SHRINK
 from pipelines.report.published import Published, best_published, published
 from pipelines.report.statistics import mean_interval
@@ -29,6 +30,7 @@ METHOD_NAMES = {
     for name, config in METHODS.items()
     for form, text in {"tree": "", **config.forms, "polished": "polished"}.items()
 }
+SHRUNK = "distilled-otr-polished"  # the method's name of a shrunk network
 ORACLE = "oracle"  # the method's name of the networks that others imitate; their depth is empty
 METHOD_NAMES[ORACLE] = "Oracle"
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
@@ -58,8 +60,8 @@ def table_runs(runs: pd.DataFrame, forms: Mapping[str, str] = FORMS) -> pd.DataF
     """Return the runs of control tables, a row for each of these forms, from `load_runs`, its order kept.
 
     Versions of a task's environment (env=hopper_v5) are left out. OTR of depth 0 is the linear policy; where both names
-    hold a seed it counts once. A shrunk policy has the name of what it is, OTR or experts, and the imitation that its
-    training begins with has no row.
+    hold a seed it counts once. A policy that is shrunk is OTR where that is the task's recipe (`conf/recipe`), and
+    the imitation that it begins with has no row.
     """
     return _in_tables(reported(runs), [], forms)
 
@@ -119,9 +121,13 @@ def _in_tables(own: pd.DataFrame, further_keys: list[str], forms: Mapping[str, s
     linear = (own["method"] == "otr") & (own["depth"] == "0")
     names = method_name(own["method"].mask(linear, "linear")) + own["form"].map(forms)
     is_shrunk = own["trainer"] == SHRINK
-    shrunk = names.str.removeprefix("distilled-").str.removesuffix(FORMS["polished"])
+    by_recipe = [
+        f"trainer={SHRINK}" in recipe({"env": env, "depth": depth}, "default")
+        for env, depth in zip(own["env"], own["depth"], strict=True)
+    ]
+    is_recipe = is_shrunk & (names == SHRUNK) & pd.Series(by_recipe, own.index, dtype=bool)
     own = own[~is_shrunk | (own["form"] == "polished")].assign(
-        method=names.mask(is_shrunk, shrunk),
+        method=names.mask(is_recipe, "otr"),
         pruned_depth=own["pruned_depth"].where(own["form"] == "tree"),
     )
     return own.drop_duplicates([*KEY, *SOURCE, *further_keys, "seed"])

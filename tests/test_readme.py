@@ -9,6 +9,7 @@ import torch
 from stable_baselines3 import DQN, PPO, SAC
 
 import otr
+from pipelines.engine.archive import opened
 from pipelines.report.headline import headline_table
 from pipelines.report.verdicts import verdicts
 from tests.committed import RESULTS
@@ -58,6 +59,14 @@ def test_tables_are_those_of_the_committed_runs() -> None:
     assert headline_table(RESULTS) in README.read_text(encoding="utf-8"), "run python -m pipelines.report.headline"
     findings = (RESULTS.parent / "docs/findings.md").read_text(encoding="utf-8")
     assert verdicts(RESULTS) in findings, "run python -m pipelines.report.verdicts"
+
+
+def test_the_first_program_is_that_of_the_run_it_names() -> None:
+    text = README.read_text(encoding="utf-8")
+    (run,) = re.findall(r"`run=(pendulum\S*)`", text)
+    with opened(RESULTS / "runs" / run, ["simplify"]) as whole:
+        tree = otr.load(whole / "simplify" / "tree")
+    assert otr.to_text(tree, feature_names=["cos_angle", "sin_angle", "angle_rate"], output_names=["torque"]) in text
 
 
 MODELS = {

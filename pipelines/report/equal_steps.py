@@ -31,16 +31,19 @@ def equal_cells(runs: pd.DataFrame, results_dir: Path) -> pd.DataFrame:
     """Return a row for each task, method, depth and source of `load_runs`, as far as its runs tell it.
 
     `how` is `final` for policies that took STEPS or fewer, `on the way` for longer trainings and searches that were
-    evaluated there, `over` for policies that took up to OVER times as many; `steps` is the mean of what was spent.
+    evaluated there, `over` for policies that took up to OVER times as many; `steps` is the mean of what was spent, and
+    `n_known_of` the number of runs of which `n_runs` are such.
     """
     own = table_runs(runs, {"tree": "", "polished": "-polished"})
     is_quick = own["budget"].str.startswith("quick")
     own = own[own["task"].isin(TASKS) & ~is_quick]
     found = [_at_equal_steps(run, results_dir) for run in own.to_dict("records")]
     own = own.drop(columns="steps").join(pd.DataFrame(found, own.index, ["value", "steps", "how"]))
-    own = own.dropna(subset="value")
-    cells = summarise(own, ["task", *LINE[:2], *SOURCE, "how"], "value", steps=("steps", "mean"))
-    cells = in_order(cells, ["task", *LINE[:2], *SOURCE]).sort_values("n_runs", key=lambda n: n == 1, kind="stable")
+    policy = ["task", *LINE[:2], *SOURCE]
+    own = own.assign(n_known_of=own.groupby(policy)["seed"].transform("size")).dropna(subset="value")
+    further = {"steps": ("steps", "mean"), "n_known_of": ("n_known_of", "first")}
+    cells = summarise(own, [*policy, "how"], "value", **further)
+    cells = in_order(cells, policy).sort_values("n_runs", key=lambda n: n == 1, kind="stable")
     return in_order(cells.drop_duplicates(["task", *LINE]), ["task", *LINE])
 
 
@@ -72,5 +75,5 @@ def _lines(cells: pd.DataFrame) -> list[list[str]]:
 def _text(cell: Any) -> str:
     digits = 0 if abs(cell.mean) >= 1000 else 1
     text = f"{cell.mean:,.{digits}f}" + (f" ± {cell.std:,.{digits}f}" if cell.n_runs > 1 else "")
-    text += f" ({cell.n_runs})"
+    text += f" ({cell.n_runs})" if cell.n_runs == cell.n_known_of else f" ({cell.n_runs} of {cell.n_known_of})"
     return f"[{text}, {cell.steps / 1e6:.2f}M]" if cell.how == "over" else text + HOW[cell.how]

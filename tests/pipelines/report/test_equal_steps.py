@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from pipelines.engine.store import read_csv
-from pipelines.report.equal_steps import equal_cells
+from pipelines.report.equal_steps import _lines, equal_cells
 from tests.committed import RESULTS
 
 
@@ -23,6 +23,7 @@ def made(tmp_path_factory):
         {"depth": "4", "form": "polished", "polish.by": "search", "steps": 8e5, "polish.n_steps": 3e5},
         {"depth": "5", "form": "polished", "polish.by": "search", "steps": 8e5, "polish.n_steps": 5e5},
         {"depth": "6", "steps": 1e5, "budget": "quick-ars"},
+        {"depth": "1", "steps": 3e6, "seed": 1},
     ]
     for run, steps in (("curve", (7e5, 8.5e5, 9.5e5, 1.1e6)), ("short curve", (8.5e5, 1e6))):
         (folder / "runs" / run / "train").mkdir(parents=True)
@@ -44,6 +45,11 @@ def made(tmp_path_factory):
 )
 def test_a_cell_counts_all_steps(made, cell, mean, how, steps):
     assert tuple(made.loc[cell, ["mean", "how", "steps"]]) == (mean, how, steps)
+
+
+def test_runs_that_took_more_are_counted(made):
+    assert made.loc[("otr", "1"), ["n_runs", "n_known_of"]].tolist() == [1, 2]
+    assert "| 9.0 (1 of 2) |" in " ".join("| " + " | ".join(line) + " |" for line in _lines(made.reset_index()))
 
 
 def test_what_took_more_or_a_quick_budget_has_no_cell(made):

@@ -1,4 +1,4 @@
-// Lines over steps or seconds, at most eight at a time, which are told apart without colour, too: by dashes and marks.
+// Lines over steps or seconds, at most eight at a time, which differ without colour, too: by dashes and marks.
 "use strict";
 
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#b0568a", "#b87f00", "#3d8fc0", "#7a7000", "#888888"];

@@ -9,7 +9,6 @@ import torch
 from stable_baselines3 import DQN, PPO, SAC
 
 import otr
-from pipelines.engine.archive import opened
 from pipelines.report.headline import headline_table
 from pipelines.report.verdicts import verdicts
 from tests.committed import RESULTS
@@ -37,36 +36,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(folder)
     names: dict = {}
-    for block in BLOCKS:
-        exec(compile(block, str(README), "exec"), names)
-    shown, text = capsys.readouterr().out.split("\n", 1)
-    program, why = text.split("\nleaf ")
+    (block,) = BLOCKS
+    exec(compile(block, str(README), "exec"), names)
+    shown, program = capsys.readouterr().out.split("\n", 1)
     assert shown == "Rollout(return 500 ± 0 over 100 episodes, 50,000 steps)"
-    policy, exact, played = names["policy"], names["exact"], names["played"]
-    assert 1 < exact.n_leaves < otr.map_network(policy).n_leaves
-    np.testing.assert_array_equal(exact.predict(played.states), policy.predict(played.states))
     read = otr.parse_program(program, ["x", "v", "angle", "spin"], output_names=["left", "right"], labels=True)
-    states = played.states  # its numbers have four digits
+    states = otr.rollout("CartPole-v1", names["policy"], n_episodes=5).states  # its numbers have four digits
     assert (read.predict(states) == names["tree"].predict(states)).mean() > 0.99
-    assert "\nnearest state of another label, " in why
-    assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]
+    assert "double" in names["c_code"]
 
 
 def test_tables_are_those_of_the_committed_runs() -> None:
     assert headline_table(RESULTS) in README.read_text(encoding="utf-8"), "run python -m pipelines.report.headline"
     findings = (RESULTS.parent / "docs/findings.md").read_text(encoding="utf-8")
     assert verdicts(RESULTS) in findings, "run python -m pipelines.report.verdicts"
-
-
-def test_the_first_program_is_that_of_the_run_it_names() -> None:
-    text = README.read_text(encoding="utf-8")
-    (run,) = re.findall(r"`run=(pendulum\S*)`", text)
-    with opened(RESULTS / "runs" / run, ["simplify"]) as whole:
-        tree = otr.load(whole / "simplify" / "tree")
-    assert otr.to_text(tree, feature_names=["cos_angle", "sin_angle", "angle_rate"], output_names=["torque"]) in text
 
 
 MODELS = {

@@ -179,8 +179,11 @@ def _imitates(cell: Any) -> str:
 
 
 def _runs(cell: Any) -> str:
-    """Return the runs of a cell, and the layers of its oracle, or of the oracle that it is."""
-    return runs_text(cell) + (f", of {cell.oracle.replace(',', ', ')}" if cell.n_runs and pd.notna(cell.oracle) else "")
+    """Return the runs of a cell, `3 of 5` where some are missing, and the layers of its oracle, or of what it is."""
+    text, n_missing = runs_text(cell), MIN_RUNS_FOR_INTERVAL - cell.n_runs
+    if cell.table == "4.1" and cell.n_runs and n_missing > 0:
+        text = f"{cell.n_runs} of {MIN_RUNS_FOR_INTERVAL} runs{text[text.index(','):]}"
+    return text + (f", of {cell.oracle.replace(',', ', ')}" if cell.n_runs and pd.notna(cell.oracle) else "")
 
 
 def _short(number: float) -> str:

@@ -35,7 +35,7 @@ run: .venv/.installed  ## search, map, prune and evaluate a depth-6 policy for H
 	$(BIN)/otr-run env=hopper depth=6 budget=quick algo=ars results_dir=results/local $(ARGS)
 
 # A file's tests run in one process, so that what a file sets up is made once.
-test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
+test: .venv/.installed  ## the tests (six minutes on two threads of one core)
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 test-all: .venv/.installed-all  ## the tests, with more random examples, and the slow ones

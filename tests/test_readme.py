@@ -21,7 +21,7 @@ torch.set_num_threads(1)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `model.zip`: a PPO of three ReLU neurons that balances CartPole by the angle and its speed."""
+    """A folder with `policy.zip`: a PPO of three ReLU neurons that balances CartPole by the angle and its speed."""
     made = tmp_path_factory.mktemp("readme")
     settings = {"net_arch": {"pi": [3], "vf": [3]}, "activation_fn": torch.nn.ReLU}
     model = PPO("MlpPolicy", "CartPole-v1", policy_kwargs=settings, seed=0, device="cpu")
@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         layers[0].bias.copy_(torch.tensor([0.1, 0.1, -2.0]))
         layers[1].weight.copy_(torch.tensor([[-1.0, 1.0, 0.0], [1.0, -1.0, 0.01]]))
         layers[1].bias.zero_()
-    model.save(made / "model.zip")
+    model.save(made / "policy.zip")
     return made
 
 

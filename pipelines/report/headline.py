@@ -17,7 +17,7 @@ from pipelines.report.sizes import steps_in_all
 from pipelines.report.table_4_1 import make_cells
 
 COLUMNS = (("linear", "0"), ("otr", "6"), ("otr", "32"))
-HEAD = "| | linear | OTR (6) | OTR (32) | the thesis's best | leaves | steps |\n|" + 7 * " --- |"
+HEAD = "| | linear | OTR (6) | OTR (32) | the thesis's best | leaves of OTR (6), (32) | their steps |\n|" + 7 * " --- |"
 BLOCK = re.compile(r"(?s)(<!-- results -->\n).*(?=<!-- end -->)")
 
 
@@ -33,7 +33,7 @@ def headline_table(results_dir: Path) -> str:
         sources = [_runs_of(runs, task, *column, cell) for column, cell in zip(COLUMNS, chosen, strict=True)]
         leaves = ", ".join(f"{source['leaves_pruned'].mean():,.0f}" for source in sources[1:])
         best = best_published(task)
-        steps = " and ".join(dict.fromkeys(f"{source['total_steps'].mean() / 1e6:.3g}M" for source in sources[1:]))
+        steps = ", ".join(dict.fromkeys(f"{source['total_steps'].mean() / 1e6:.3g}M" for source in sources[1:]))
         texts = [*(spread(cell["mean"], cell["std"]) for cell in chosen), f"{best:,.{_decimals(best)}f}", leaves, steps]
         lines.append(f"| {TASK_NAMES[task]} | {' | '.join(texts)} |")
     ours, theirs = order_of_methods(cells.reset_index())

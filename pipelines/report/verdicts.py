@@ -1,6 +1,6 @@
 """The verdicts of docs/findings.md: on which control tasks a tree returns more than linear policies, by one rule.
 
-`python -m pipelines.report.verdicts` writes them between the page's two marks.
+`python -m pipelines.report.verdicts` writes each task's between the page's two marks for it.
 """
 
 import re
@@ -16,22 +16,32 @@ from pipelines.report.statistics import difference_interval, probability_of_impr
 CELL = ["method", "depth", "budget", "trainer"]
 MIN_RUNS = 3
 FORMS = {"tree": "", "polished": "-polished"}  # soft trees are no trees yet
-HEAD = ["", "the best linear policies", "OTR: ahead?", "the best trees: ahead?"]
-BLOCK = re.compile(r"(?s)(<!-- verdicts -->\n).*(?=<!-- end -->)")
+HEAD = ["the best of each kind", "return", "leaves", "runs", "pairs with linear that it wins"]
+BLOCK = re.compile(r"(?s)(<!-- (?!end)(\w+) -->\n).*?(?=<!-- end -->)")
 
 
-def verdicts(results_dir: Path) -> str:
-    """Return the table as Markdown: of each task the cells with the highest means, of whatever budget and trainer."""
+def verdicts(results_dir: Path) -> dict[str, str]:
+    """Return `all` and each task's verdict and table as Markdown: the cells with the highest means, of any budget."""
     every = load_runs(results_dir)
     runs = with_pruned_trees(table_runs(every, FORMS), every)
-    lines = [HEAD, ["---"] * len(HEAD)]
+    found, answers_of = {}, []
     for task, name in TASK_NAMES.items():
         own = runs[runs["task"] == task]
         is_linear, is_otr = own["depth"] == "0", own["method"].isin(["otr", "otr-polished"])
         linear = _best(own[is_linear])
         small = _best(own[is_otr & own["depth"].isin(["1", "2", "6"])])
         trees = _best(own[~is_linear])
-        lines.append([name, _cell(linear), _verdict(small, linear), _verdict(trees, linear)])
+        answers = ["yes" if _is_ahead(each, linear) else "no" for each in (small, trees)]
+        answers_of.append([name, *answers])
+        kinds = {"linear": linear, "a small OTR": small, "any tree": trees}
+        lines = [HEAD, ["---"] * len(HEAD), *(_line(kind, each, linear) for kind, each in kinds.items())]
+        verdict = f"Ahead of linear policies: a small OTR **{answers[0]}**, the best tree **{answers[1]}**."
+        found[task] = f"{verdict}\n\n{_table(lines)}"
+    head = [["ahead of linear policies?", "a small OTR", "any tree"], ["---"] * 3]
+    return found | {"all": _table(head + answers_of)}
+
+
+def _table(lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -40,24 +50,22 @@ def _best(runs: pd.DataFrame) -> pd.DataFrame:
     return max(cells, key=lambda cell: float(cell["return_mean"].mean()))
 
 
-def _cell(runs: pd.DataFrame) -> str:
+def _line(kind: str, runs: pd.DataFrame, linear: pd.DataFrame) -> list[str]:
     first, returns = runs.iloc[0], runs["return_mean"]
-    depth = "" if first["depth"] == "0" else f" ({first['depth']})"
     n_leaves = sorted({int(runs["leaves_pruned"].min()), int(runs["leaves_pruned"].max())})
-    leaves = f"{' to '.join(f'{n:,}' for n in n_leaves)} leaves, " if depth else ""
-    what = f"{METHOD_NAMES[first['method']]}{depth}"
-    return f"{spread(returns.mean(), returns.std())}, {what}, {leaves}{len(runs)} runs"
+    name = METHOD_NAMES[first["method"]] + ("" if first["depth"] == "0" else f" ({first['depth']})")
+    share = "" if kind == "linear" else f"{100 * probability_of_improvement(returns, linear['return_mean']):.0f} %"
+    leaves = " to ".join(f"{n:,}" for n in n_leaves)
+    return [f"{kind}: {name}", spread(returns.mean(), returns.std()), leaves, str(len(runs)), share]
 
 
-def _verdict(runs: pd.DataFrame, linear: pd.DataFrame) -> str:
+def _is_ahead(runs: pd.DataFrame, linear: pd.DataFrame) -> bool:
     ours, theirs = runs["return_mean"], linear["return_mean"]
     low, _ = difference_interval(ours, theirs)
-    share = probability_of_improvement(ours, theirs)
-    is_ahead = share == 1 if pd.isna(low) else low > 0
-    return f"**{'yes' if is_ahead else 'no'}**: {_cell(runs)}, higher in {100 * share:.0f} % of pairs"
+    return bool(probability_of_improvement(ours, theirs) == 1 if pd.isna(low) else low > 0)
 
 
 if __name__ == "__main__":
-    page = Path("docs/findings.md")
+    page, found = Path("docs/findings.md"), verdicts(Path("results"))
     text = page.read_text(encoding="utf-8")
-    page.write_text(BLOCK.sub(lambda match: match[1] + verdicts(Path("results")) + "\n", text), encoding="utf-8")
+    page.write_text(BLOCK.sub(lambda match: match[1] + found[match[2]] + "\n", text), encoding="utf-8")

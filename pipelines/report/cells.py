@@ -25,11 +25,15 @@ TASK_NAMES = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", 
 FORMS = {
     "tree": "", "soft": "-soft", "discretised": "-discrete", "constant_gains": "-constant", "polished": "-polished",
 }  # fmt: skip
+BY_CRITICS = "-critic"  # what comes before the form of a policy that critics polished, other than a shrunk one
 METHOD_NAMES = {
     f"{name.replace('_', '-')}{FORMS[form]}": f"{config.label}, {text}" if text else config.label
     for name, config in METHODS.items()
     for form, text in {"tree": "", **config.forms, "polished": "polished"}.items()
-}
+} | {
+    f"{name.replace('_', '-')}{BY_CRITICS}{FORMS['polished']}": f"{config.label}, polished by critics"
+    for name, config in METHODS.items()
+}  # fmt: skip
 SHRUNK = "distilled-otr-polished"  # the method's name of a shrunk network
 ORACLE = "oracle"  # the method's name of the networks that others imitate; their depth is empty
 METHOD_NAMES[ORACLE] = "Oracle"
@@ -121,6 +125,9 @@ def _in_tables(own: pd.DataFrame, further_keys: list[str], forms: Mapping[str, s
     linear = (own["method"] == "otr") & (own["depth"] == "0")
     names = method_name(own["method"].mask(linear, "linear")) + own["form"].map(forms)
     is_shrunk = own["trainer"] == SHRINK
+    if "polish.by" in own:
+        by_critics = (own["form"] == "polished") & own["polish.by"].eq("critic").fillna(False) & ~is_shrunk
+        names = names.mask(by_critics, names.str.replace("-polished", f"{BY_CRITICS}-polished"))
     by_recipe = [
         f"trainer={SHRINK}" in recipe({"env": env, "depth": depth}, "default")
         for env, depth in zip(own["env"], own["depth"], strict=True)

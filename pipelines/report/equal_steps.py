@@ -1,4 +1,4 @@
-"""Policies at equal cost: what each method returns once a million environment steps, all counted, are spent on it."""
+"""Policies at equal cost: what each method returns after a million environment steps, its oracle's counted."""
 
 from math import nan
 from pathlib import Path

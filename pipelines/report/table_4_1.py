@@ -41,6 +41,7 @@ from pipelines.report.published import published_steps
 from pipelines.report.sizes import SIZES, with_sizes
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
 from pipelines.report.text import latex_grid, latex_notes, markdown_grid, markdown_table, page, write_tables
+from pipelines.report.to_run import to_run
 
 COLUMNS = (("linear", "0"), (ORACLE, ""), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"),
            ("otr", "6"), ("otr", "32"))  # fmt: skip
@@ -79,6 +80,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
         elsewhere=markdown_table(elsewhere()),
         pruned=markdown_table(_pruned(every), empty="Nothing has been run yet that pruning changes."),
         least_change=f"{100 * LEAST_CHANGE:.0f} %",
+        to_run=markdown_table(to_run(pd.concat([table_runs(every).assign(changes=""), variant_runs(every)]))),
         variants=markdown_table(_variants(every), empty="No run of the table's tasks changes a setting."),
         others=_others(other_runs(every)),
         min_runs=MIN_RUNS_FOR_INTERVAL,
@@ -114,7 +116,7 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     cells = beside_the_thesis(cells, zip(tables, cells["task"], cells["method"], cells["depth"], strict=True))
     also = defaultdict(list)
     for cell in found[rest].itertuples():
-        also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
+        also[cell.task, cell.method, cell.depth].append(f"also {_ours(cell)} ({runs_text(cell)})")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
     columns = {"ours": _ours, "runs": _runs, "imitates": _imitates}
     cells = with_marks(cells.assign(**{name: list(map(text, cells.itertuples())) for name, text in columns.items()}))
@@ -182,7 +184,7 @@ def _runs(cell: Any) -> str:
     """Return the runs of a cell, `3 of 5` where some are missing, and the layers of its oracle, or of what it is."""
     text, n_missing = runs_text(cell), MIN_RUNS_FOR_INTERVAL - cell.n_runs
     if cell.table == "4.1" and cell.n_runs and n_missing > 0:
-        text = f"{cell.n_runs} of {MIN_RUNS_FOR_INTERVAL} runs{text[text.index(','):]}"
+        text = f"{cell.n_runs} of {MIN_RUNS_FOR_INTERVAL} runs{text[text.index(',') :]}"
     return text + (f", of {cell.oracle.replace(',', ', ')}" if cell.n_runs and pd.notna(cell.oracle) else "")
 
 

@@ -130,7 +130,10 @@ class CriticPolish:
                         draws = streams.draw(streams.n_steps_ahead)
                         counts = settings.refill_steps + t + 1 + torch.arange(streams.n_steps_ahead)
                         positions = self._replay.positions(draws.fractions, counts)
-                    self._step(learner.act, draws.policy[:, ahead], settings.noise * draws.exploration[:, ahead])
+                    done = t / settings.steps
+                    noise = settings.noise * (1 - done * (1 - settings.noise_end))
+                    self._step(learner.act, draws.policy[:, ahead], noise * draws.exploration[:, ahead])
+                    learner.at_step(t, 1 - done * (1 - settings.learning_rate_end))
                     learner.update(self._replay.gather(positions[:, ahead]), draws.updates[:, ahead])
             if not all(bool(torch.isfinite(each).all()) for each in learner.tensors(0).values()):
                 say(f"numbers are no longer finite after {end:,} steps, which ends the polish")

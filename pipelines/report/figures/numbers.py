@@ -16,7 +16,7 @@ import pandas as pd
 import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
-from pipelines.report.cells import DECIMALS, KEY, TASK_NAMES, in_order, normalised, table_runs
+from pipelines.report.cells import BY_CRITICS, DECIMALS, KEY, TASK_NAMES, in_order, normalised, table_runs
 from pipelines.report.figures.style import (
     DOTS,
     GREY,
@@ -126,7 +126,7 @@ def _draw_panel(panel: Axes, points: pd.DataFrame, styles: dict[str, dict[str, A
 
 
 def _series(method: str) -> str:
-    plain = method.removesuffix("-polished")
+    plain = method.removesuffix("-polished").removesuffix(BY_CRITICS)
     return "experts" if plain == "distilled-experts" else plain
 
 

@@ -12,6 +12,7 @@ import otr
 from otr.control.critic_polish.learner import CriticPolish
 from otr.control.critic_polish.policy_actor import OraclePlay, PolicyActor, check_critics
 from otr.control.environments import GymnasiumVectorEnv
+from otr.control.sac.sac import FleetSac
 from otr.control.sac.squashed_gaussian import ClippedActions
 from otr.control.settings import CriticPolishSettings
 from otr.core.smooth_network import SmoothNetwork
@@ -164,6 +165,23 @@ def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(kin
     again = list(learning(policy, oracle).candidates(3, print))
     for (_, one), (_, other) in zip(found, again, strict=True):
         np.testing.assert_array_equal(one.predict(X), other.predict(X))
+
+
+def test_noise_and_learning_rate_fall_while_the_policy_learns(monkeypatch):
+    settings = CriticPolishSettings(400, 100, batch_size=8, noise=0.2, noise_end=0.0, learning_rate_end=0.5)
+    made = learning(network(otr.TanhBox(LOW, HIGH)), None, settings=settings)
+    added, shares, step = [], [], made._step
+    monkeypatch.setattr(FleetSac, "at_step", lambda _, __, share: shares.append(share))
+
+    def kept(act, noise, exploration):
+        added.append(float(exploration))
+        step(act, noise, exploration)
+
+    monkeypatch.setattr(made, "_step", kept)
+    list(made.candidates(2, print))
+    each = np.array(added[100:]) / (0.2 * (1 - np.arange(400) / 400))
+    assert len(each) == 400 and all(0.85 < part.std() < 1.15 for part in np.split(each, 2))
+    np.testing.assert_allclose(shares, np.linspace(1.0, 0.5, 401)[:-1])
 
 
 def test_normalised_critics_and_their_mean_reach_the_learner():

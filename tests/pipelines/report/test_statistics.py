@@ -68,9 +68,10 @@ def test_p_values_are_welchs_and_holms():
 
 
 def test_the_bootstrap_draws_runs_within_tasks():
-    assert stratified_iqm([[0.0, 0.0], [1.0] * 6]) == (1.0, (1.0, 1.0))  # two runs of eight are cut off at either end
-    scores = [np.linspace(0, 1, 9), np.linspace(1, 2, 5)]
+    assert stratified_iqm([[0.0, 0.0], [1.0] * 6]) == (0.5, (0.5, 0.5))  # tasks weigh alike
+    scores = [np.linspace(0, 1, 10), np.linspace(1, 2, 10)]
     mean, (low, high) = stratified_iqm(scores)
+    assert mean == pytest.approx(interquartile_mean(np.concatenate(scores)))
     drawn = np.random.default_rng(5)
     means = [
         interquartile_mean(np.concatenate([drawn.choice(each, len(each)) for each in scores])) for _ in range(4000)

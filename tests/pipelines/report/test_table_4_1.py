@@ -28,7 +28,7 @@ def test_budgets_have_an_order_and_are_never_mixed(tmp_path: Path) -> None:
         if budget != "zeta":
             assert hopper(tmp_path)["budget"] == budget
     assert hopper(tmp_path)["note"].split("; ") == [
-        f"also run: 1 run, {budget}" for budget in ("thesis-fleet", "quick", "quick-fleet", "alpha", "zeta")
+        f"also 1.0 (1 run, {budget})" for budget in ("thesis-fleet", "quick", "quick-fleet", "alpha", "zeta")
     ]
     for run in ("hopper/otr/depth-6/quick/seed-1", "hopper/otr/depth-6/quick/seed-2~0a1b2c3d"):
         write_run(tmp_path, run, 3.0)  # several come before one; those of other settings do not count

@@ -1,0 +1,34 @@
+"""What is still to be run: counted from the runs that there are, until there are five of each policy."""
+
+import shlex
+
+import pandas as pd
+import pytest
+
+from pipelines.cli.runs import RUN
+from pipelines.report import to_run
+from pipelines.report.to_run import WANTED
+
+
+def rows(method: str, depth: str, n: int, changes: str | None = None) -> pd.DataFrame:
+    own = {"task": "hopper", "method": method, "depth": depth, "budget": "standard-ars", "changes": changes}
+    return pd.DataFrame([own | {"seed": seed} for seed in range(n)])
+
+
+def test_policies_are_counted_until_five_runs_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = to_run.Wanted("searches", ("hopper",), ("otr",), ("6", "32"), "standard-ars", "otr-run env={tasks}")
+    monkeypatch.setattr(to_run, "WANTED", (wanted,))
+    some = pd.concat([rows("otr", "6", 3), rows("otr", "32", 4, "algo.noise=0.1"), rows("linear", "32", 5)])
+    assert to_run.to_run(some)[1:] == [["searches", "1 with 3 of 5, 1 with none", "`otr-run env=hopper`"]]
+    assert to_run.to_run(pd.concat([rows("otr", "6", 5), rows("otr", "32", 6)]))[1:] == []
+
+
+@pytest.mark.parametrize("wanted", WANTED, ids=lambda wanted: wanted.what)
+def test_the_commands_make_the_policies_that_are_counted(wanted: to_run.Wanted) -> None:
+    words = shlex.split(wanted.command.format(tasks=wanted.tasks[-1]))[2:]
+    for own in RUN.expand(words, True)[:1]:
+        (job,) = RUN.jobs([own])
+        RUN.check(job.config)
+        assert job.run_dir.parent.name == wanted.budget and job.config.changes == wanted.changes
+        assert job.config.method.name.replace("_", "-") in wanted.methods[0]
+        assert job.run_dir.parent.parent.name.removeprefix("depth-") in wanted.depths

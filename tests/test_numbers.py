@@ -19,8 +19,10 @@ TASKS = ("reacher", "walker2d", "hopper", "halfcheetah", "ant", "swimmer", "bipe
 @pytest.fixture(scope="module")
 def runs():
     """Return the runs of one setting, a row each: mean, std (n - 1), min and max over runs of the mean return."""
-    keys = ["env", "method", "depth", "budget", "trainer", "settings", "oracle.hidden_widths", "form", "polish.by"]
-    returns = load_runs(RESULTS).groupby(keys, dropna=False)["return_mean"]
+    keys = ["env", "method", "depth", "budget", "trainer", "settings", "oracle.hidden_widths", "form", "polished by"]
+    every = load_runs(RESULTS)
+    by = every["polish.by"].where(every["form"] == "polished")
+    returns = every.assign(**{"polished by": by}).groupby(keys, dropna=False)["return_mean"]
     return returns.agg(["mean", "std", "min", "max"]).reset_index()
 
 

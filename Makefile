@@ -76,7 +76,7 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 	@touch $@
 
 docs: .venv/.installed-docs  ## the documentation as a site, in site/
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	$(BIN)/otr-report gallery=site/gallery/pages
 
 # Nothing but numpy and scipy is there: the library's example runs, and a command says which extra it needs.

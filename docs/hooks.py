@@ -4,11 +4,13 @@ import re
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files
+from mkdocs.plugins import get_plugin_logger
+from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 OUTSIDE = "repository"  # the folder of the site with files that lie outside docs/
+LOG = get_plugin_logger(__name__)
 LINK = re.compile(r'(\]\(|src=")([^)"#\s:]+)(#[^)"]*)?([)"])')
 
 
@@ -34,7 +36,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     while todo:
         path = todo.pop()
         if path == ROOT / "README.md" or not path.is_relative_to(ROOT / "docs"):
-            files.append(File.generated(config, site_path(path), abs_src_path=str(path)))
+            uri, level = site_path(path), InclusionLevel.INCLUDED  # whatever exclude_docs says of docs/
+            files.append(File.generated(config, uri, abs_src_path=str(path), inclusion=level))
         new = [each for each in targets(path) if each.is_file() and each not in seen] if path.suffix == ".md" else []
         seen.update(new)
         todo += new
@@ -50,6 +53,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         target = (source.parent / match[2]).resolve()
         if not target.is_relative_to(ROOT) or not target.exists():
             return match[0]
+        found = files.get_file_from_path(site_path(target))
+        if found is None or found.inclusion.is_excluded():  # mkdocs would only mention it, and --strict not fail
+            LOG.warning(f"{source.relative_to(ROOT)} links to {match[2]}, which the site does not have")
         up = "../" * page.file.src_uri.count("/") if match[1] == "](" else "../" * page.url.count("/")
         return f"{match[1]}{up}{site_path(target)}{match[3] or ''}{match[4]}"
 

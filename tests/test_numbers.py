@@ -52,8 +52,7 @@ def is_rounded(told: str, number: float) -> bool:
     [
         page.relative_to(ROOT).as_posix()
         for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-        if SPREAD.search(page.read_text())
-        and page.stem not in ("benchmarks", "programs", "tutorial")  # their own measurements
+        if SPREAD.search(page.read_text()) and page.stem not in ("benchmarks", "tutorial")  # their own measurements
     ],
 )
 def test_means_and_spreads_on_a_page_are_of_committed_results(page, spreads):

@@ -21,9 +21,9 @@ torch.set_num_threads(1)
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
-    """Return the language and the text of a page's blocks, or of a notebook's cells of code."""
+    """Return the language and the text of a page's blocks, but for output, or of a notebook's cells of code."""
     if page.suffix == ".md":
-        return BLOCK.findall(page.read_text(encoding="utf-8"))
+        return [block for block in BLOCK.findall(page.read_text(encoding="utf-8")) if block[0] != "text"]
     cells = json.loads(page.read_text(encoding="utf-8"))["cells"]
     code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
     return [("", re.sub("^!", "", each, flags=re.M)) if each[0] == "!" else ("python", each) for each in code]
@@ -73,6 +73,9 @@ def test_from_a_csv_to_a_tree(
     assert names["one"].score(X, y) > max(0.97, names["many"].score(X, y))
     assert names["one"].tree_.n_leaves < names["many"].tree_.n_leaves
     assert "width" in capsys.readouterr().out
+    (shown,) = re.findall(r"```text\n(.*?)```", (DOCS / "tutorial-data.md").read_text(encoding="utf-8"), re.DOTALL)
+    read = otr.parse_program(shown, ["width", "height", "weight"], output_names=["no", "yes"], labels=True)
+    assert (read.predict(X) == y).mean() > 0.97
 
 
 @pytest.mark.parametrize("name", ["tutorial", "tutorial-data"])

@@ -41,6 +41,14 @@ class Rollout:
         states: (sum of lengths, d) float64, the states acted on, episode after episode; without rows where not kept.
         actions: (sum of lengths, a), or (sum of lengths,) labels, as the environment was given them; likewise.
         feature_names: of a state's numbers, from the keys of dictionaries; None where there are none.
+
+    Examples:
+        >>> tree = otr.parse_program("if angle + rate <= 0: 0 else: 1", ["x", "v", "angle", "rate"], labels=True)
+        >>> played = otr.rollout("CartPole-v1", tree, n_episodes=5, max_steps=10)
+        >>> played
+        Rollout(return 10 ± 0 over 5 episodes, 50 steps)
+        >>> played.states.shape, played.actions.shape
+        ((50, 4), (50,))
     """
 
     seeds: IntArray

@@ -193,6 +193,15 @@ class SearchSettings:
         noise: length of the directions, a standard deviation a number (nu).
         step_size_end, noise_end: the final values of the two, as shares; they fall linearly.
         momentum: weight of the former steps in a step; 0 is the paper's search.
+
+    Examples:
+        >>> settings = otr.SearchSettings(step_size=0.1, noise=0.1)
+        >>> tree = otr.parse_program("x + 1", ["x"])
+        >>> def returns(policies, seeds):
+        ...     return [[-abs(p.predict([1.0])[0] - 3.0)] * seeds.shape[1] for p in policies]
+        >>> better = otr.polish(tree, returns, states=[[0.0], [1.0]], n_iterations=30, settings=settings)
+        >>> better.predict([1.0]).round(1)
+        array([3.])
     """
 
     n_directions: Count = 8

@@ -65,6 +65,15 @@ class ReluNetwork:
         head: from y to the answer.
         domain: where the network equals the original policy (`from_sb3` with a clip on the observations), the default
             of functions that ask for a domain; None for all of R^d.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # two neurons: |x|
+        >>> net.predict([[-2.0], [3.0]])
+        array([[2.],
+               [3.]])
+        >>> net.patterns([[-2.0], [3.0]])  # which neurons are on
+        array([[False,  True],
+               [ True, False]])
     """
 
     def __init__(

@@ -32,6 +32,15 @@ class PatternTree:
     Attributes:
         network: the network.
         is_restricted: whether the tree has only the paths in `patterns`.
+
+    Examples:
+        >>> rng = np.random.default_rng(0)
+        >>> net = otr.ReluNetwork([rng.normal(size=(40, 2)), rng.normal(size=(1, 40))], [rng.normal(size=40), [0.0]])
+        >>> tree = otr.PatternTree(net)
+        >>> tree.n_paths == 2**40
+        True
+        >>> tree.observe(rng.normal(size=(100, 2))).keep(3).to_tree().n_leaves  # of the paths that most states take
+        3
     """
 
     def __init__(

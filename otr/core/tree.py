@@ -49,6 +49,15 @@ class ObliqueTree:
         head: from a leaf's value to the answer.
         feature_names, output_names: of the inputs, and of the outputs or labels, which programs and pictures show by
             default; None for none.
+
+    Examples:
+        >>> M, c = [[[1.0, 0.0]], [[0.0, -1.0]]], [[0.0], [1.0]]
+        >>> tree = otr.ObliqueTree([~0], [~1], P=[[1.0, 1.0]], v=[-1.0], M=M, c=c)  # if x + y <= 1: x, else 1 - y
+        >>> tree.predict([[0.5, 0.0], [0.5, 3.0]])
+        array([[ 0.5],
+               [-2. ]])
+        >>> tree.apply([[0.5, 0.0], [0.5, 3.0]])  # the leaves
+        array([0, 1])
     """
 
     def __init__(

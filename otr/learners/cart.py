@@ -110,6 +110,17 @@ class CARTClassifier(_Cart, GrownClassifier):
     Attributes:
         tree_: the `otr.ObliqueTree`; its labels are positions in `classes_`.
         classes_: (n_classes,) the classes, sorted.
+
+    Examples:
+        >>> X, y = [[0.0, 1.0], [1.0, 0.0], [2.0, 2.0], [3.0, 1.0]], ["low", "low", "high", "high"]
+        >>> fitted = otr.learners.CARTClassifier(max_depth=1, random_state=0).fit(X, y)
+        >>> fitted.predict([[0.5, 0.5], [2.5, 0.5]])
+        array(['low', 'high'], dtype='<U4')
+        >>> print(otr.to_text(fitted.tree_, feature_names=["x", "y"], output_names=fitted.classes_))
+        if -1.5 + x <= 0 then
+            return low
+        else
+            return high
     """
 
     _parameter_constraints: ClassVar[Constraints] = {**_Cart._parameter_constraints, "class_weight": CLASS_WEIGHT}

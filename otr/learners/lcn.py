@@ -80,7 +80,9 @@ class _LCNLearner(NetworkLearner):
         return network.to_tree(max_leaves=self.max_leaves)
 
 
-_PARAMETERS = """
+@dataclass(eq=False, repr=False, kw_only=True)
+class LCNClassifier(TreeClassifier, _LCNLearner):
+    """Classifier of locally constant networks, as oblique trees with constant leaves.
 
     `tree_` has 2**depth leaves, each a constant, and computes what `network_` computes. `fit_seeds` trains many seeds
     together.
@@ -95,7 +97,7 @@ _PARAMETERS = """
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: refuse to train for a larger tree.
-        class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 
     Attributes:
@@ -104,15 +106,10 @@ _PARAMETERS = """
         best_epochs_, validation_scores_: one entry a label.
     """
 
-
-@dataclass(eq=False, repr=False, kw_only=True)
-class LCNClassifier(TreeClassifier, _LCNLearner):
-    __doc__ = "Classifier of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS
-
     _parameter_constraints: ClassVar[Constraints] = {**_LCNLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
     class_weight: ClassWeight = None
 
 
 class LCNRegressor(TreeRegressor, _LCNLearner):
-    __doc__ = "Regressor of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS
+    """Regressor of locally constant networks, as oblique trees with constant leaves; all else as in `LCNClassifier`."""

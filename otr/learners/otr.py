@@ -134,7 +134,9 @@ def _with_targets(network: ReluNetwork, mean: float, scale: float) -> ReluNetwor
     return network.replace(weights=[*weights, scale * last], biases=[*biases, scale * last_bias + mean])
 
 
-_PARAMETERS = """
+@dataclass(eq=False, repr=False, kw_only=True)
+class OTRClassifier(TreeClassifier, _OTRLearner):
+    """Classifier of ReLU networks mapped to oblique trees exactly (Orfanos 2023, Table 4.2).
 
     `tree_` is the explicit `ObliqueTree` where it has at most `max_leaves` leaves, else a `PatternTree`; both compute
     what `network_` computes. For several labels at once there is a network and a tree for each, in `networks_` and
@@ -154,22 +156,22 @@ _PARAMETERS = """
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.
-        loss: a regressor's: "squared_error", or "poisson" for counts, whose tree has the head `Exp`, so that `predict`
-            returns the expected count (Orfanos 2023 names this link; scikit-learn's `PoissonRegressor` is its depth 0).
-            Where inputs are rare and counts large, the default rate is too high: try learning_rate=0.01.
-        class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 
     Attributes:
         networks_, network_: the trained networks, or the one.
         trees_, tree_: the trees, or the one.
         best_epochs_, validation_scores_: one entry a label, see `train_many`.
+
+    Examples:
+        >>> X = np.random.default_rng(0).uniform(-1, 1, size=(200, 2))
+        >>> fitted = otr.learners.OTRClassifier(hidden=[2], random_state=0).fit(X, X.sum(axis=1) > 0)
+        >>> fitted.tree_  # two neurons, and the sign of what they sum to
+        ObliqueTree(n_leaves=8, depth=3, n_inputs=2, n_outputs=1, head=Sign())
+        >>> bool((fitted.tree_.predict(X) == fitted.network_.predict(X)).all())
+        True
     """
-
-
-@dataclass(eq=False, repr=False, kw_only=True)
-class OTRClassifier(TreeClassifier, _OTRLearner):
-    __doc__ = "Classifier of ReLU networks mapped to oblique trees exactly (Orfanos 2023, Table 4.2)." + _PARAMETERS
 
     _parameter_constraints: ClassVar[Constraints] = {**_OTRLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
@@ -178,10 +180,15 @@ class OTRClassifier(TreeClassifier, _OTRLearner):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class OTRRegressor(TreeRegressor, _OTRLearner):
-    __doc__ = (
-        "Regressor of ReLU networks mapped to oblique trees exactly; targets are standardised in training."
-        + _PARAMETERS
-    )
+    """Regressor of ReLU networks mapped to oblique trees exactly; targets are standardised in training.
+
+    Args:
+        loss: "squared_error", or "poisson" for counts, whose tree has the head `Exp`, so that `predict`
+            returns the expected count (Orfanos 2023 names this link; scikit-learn's `PoissonRegressor` is its depth 0).
+            Where inputs are rare and counts large, the default rate is too high: try learning_rate=0.01.
+
+    All else is as in `OTRClassifier`.
+    """
 
     _parameter_constraints: ClassVar[Constraints] = {
         **_OTRLearner._parameter_constraints,

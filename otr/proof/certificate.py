@@ -84,6 +84,15 @@ class Certificate:
         n_leaves, n_empty, n_regions: leaves; those that no state reaches; cells of the network in the others.
         n_linear_programs: solved to find the proof.
         cells: the proof.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> tree = otr.minimal_tree(net, ([-1], [1]))
+        >>> proof = otr.certify(tree, net, ([-1], [1]))
+        >>> proof.n_leaves, proof.max_error
+        (2, 0.0)
+        >>> otr.verify(proof, tree, net)  # checks it, and returns the bound
+        0.0
     """
 
     domain: Domain

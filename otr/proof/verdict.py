@@ -29,7 +29,15 @@ from otr.proof.head_bounds import action_of
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """The states with ``P @ x + v`` at most 0, or above 0."""
+    """The states with ``P @ x + v`` at most 0, or above 0.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> right = otr.HalfSpace([1], 0.0, is_above=True)  # x > 0
+        >>> kept = otr.Condition(state=[-1], action=[1], bound=0, given=(right,))  # there the action is at most x
+        >>> otr.find_violation(tree, kept, ([-1], [1])).holds
+        True
+    """
 
     P: ArrayLike
     v: float
@@ -42,6 +50,12 @@ class Condition:
 
     In a tree with labels, u is 1 at the label and 0 elsewhere; of a sign head it is the label, 0 or 1. Where half
     spaces are given, a tree with a basis counts as its P and M are in float64, multiplied out.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> shrinks = otr.Condition(state=[-1], action=[1], bound=0)  # the action is at most x
+        >>> otr.find_violation(tree, shrinks, ([-1], [1])).state
+        array([-1.])
     """
 
     state: ArrayLike

@@ -24,10 +24,8 @@ MADE = ("results/runs/", "results/local", "results/sweeps", "results/failures", 
         "results/tables/fits", "results/page.html")  # fmt: skip
 
 
-# What is no prose: code, tables, headings, pictures, footnotes' marks, and what is written by a command.
-NO_PROSE = re.compile(
-    r"^```.*?^```|<!-- (\w+) -->.*?<!-- end -->|^[ \t]*(?:[|#<]|!\[|:::)[^\n]*", re.MULTILINE | re.DOTALL
-)
+# What is no prose: code, tables, headings, pictures, footnotes' marks.
+NO_PROSE = re.compile(r"^```.*?^```|^[ \t]*(?:[|#<]|!\[|:::)[^\n]*", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])-?(?:\d[\d,]*(?:\.\d+)?|\.\d+)")
 
 

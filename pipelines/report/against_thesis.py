@@ -42,13 +42,15 @@ def verdict_counts(cells: pd.DataFrame) -> str:
     return f"of {counts.sum()} cells {named}"
 
 
-def order_of_methods(cells: pd.DataFrame) -> tuple[str, str]:
-    """Return our order of methods and the thesis's: mean normalised returns, best first, of those with every task."""
+def order_of_methods(cells: pd.DataFrame) -> list[list[str]]:
+    """Return a head and two lines: mean normalised returns, ours and the thesis's, of methods with every task."""
     table = cells[(cells["table"] == "4.1") & (cells["method"] != ORACLE)]
-    ours, theirs = (
-        _order(table, normalised(table["task"], pd.to_numeric(table[column]))) for column in ("mean", "published_mean")
-    )
-    return ours, theirs
+    ours, theirs = (_mean_scores(table, column) for column in ("mean", "published_mean"))
+    order = ours.sort_values(ascending=False).index
+    head = ["mean return, 0 random, 1 the thesis's best"]
+    head += [f"{METHOD_NAMES[method]} ({depth})" for method, depth in order]
+    lines = [[name, *map(_share, scores.reindex(order))] for name, scores in {"ours": ours, "thesis": theirs}.items()]
+    return [head, *lines]
 
 
 def pendulum_note(results_dir: Path, cells: pd.DataFrame) -> str:
@@ -61,11 +63,11 @@ def pendulum_note(results_dir: Path, cells: pd.DataFrame) -> str:
     theirs, deviation = pd.to_numeric(own["published_mean"]).max(), details["std_of_means_of_100"]
     name = f"{METHOD_NAMES[best['method']]}{f' ({depth})' if (depth := best['depth']) else ''}"
     return (
-        f"\n* Pendulum: the optimum is a mean return of {optimum:.1f} over our {details['n_starts']:,.0f} starts "
+        f"* Pendulum: the optimum is a mean return of {optimum:.1f} over our {details['n_starts']:,.0f} starts "
         "(value iteration on angle and rate, `python -m benchmarks pendulum_optimum`). The best here, "
         f"{name}, returns {best['mean']:.1f}, which is {optimum - best['mean']:.1f} less. The optimum's means of 100 "
         f"starts have a standard deviation of {deviation:.1f}: the thesis's best, {theirs:.1f} on 100 starts of its "
-        f"own, is {abs(theirs - optimum) / deviation:.1f} of it from the optimum."
+        f"own, is {abs(theirs - optimum) / deviation:.1f} of it from the optimum.\n"
     )
 
 
@@ -88,8 +90,11 @@ def _p_value(cell: Any) -> float:
     return welch_p_value((cell.mean, cell.std, cell.n_runs), theirs)
 
 
-def _order(table: pd.DataFrame, scores: pd.Series) -> str:
+def _mean_scores(table: pd.DataFrame, column: str) -> "pd.Series[float]":
+    scores = normalised(table["task"], pd.to_numeric(table[column]))
     each = table.assign(score=scores).groupby(["method", "depth"])["score"]
-    means = each.mean()[each.count() == table["task"].nunique()].sort_values(ascending=False)
-    names = (f"{METHOD_NAMES[method]} ({depth})" for method, depth in means.index)
-    return ", ".join(f"{name} {mean:.3f}".replace(" 0.", " .") for name, mean in zip(names, means, strict=True))
+    return each.mean().where(each.count() == table["task"].nunique())
+
+
+def _share(score: float) -> str:
+    return "-" if np.isnan(score) else f"{score:.3f}".removeprefix("0")

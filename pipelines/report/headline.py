@@ -5,10 +5,10 @@
 
 import re
 from pathlib import Path
-from textwrap import fill
 
 import pandas as pd
 
+from pipelines.config.trainer import SHRINK
 from pipelines.report.against_thesis import order_of_methods
 from pipelines.report.cells import TASK_NAMES, table_runs, with_pruned_trees
 from pipelines.report.frames import load_runs
@@ -18,11 +18,12 @@ from pipelines.report.table_4_1 import make_cells
 
 COLUMNS = (("linear", "0"), ("otr", "6"), ("otr", "32"))
 HEAD = "| | linear | OTR (6) | OTR (32) | the thesis's best | leaves of OTR (6), (32) | their steps |\n|" + 7 * " --- |"
+MARKS = {SHRINK: " ‡"}  # of cells whose runs were not trained from nothing
 BLOCK = re.compile(r"(?s)(<!-- results -->\n).*(?=<!-- end -->)")
 
 
 def headline_table(results_dir: Path) -> str:
-    """Return the cells of Table 4.1 as Markdown, with means of leaves and steps, then the order of methods."""
+    """Return the cells of Table 4.1 as Markdown, with means of leaves and steps, then the methods, best first."""
     every = load_runs(results_dir)
     runs = with_pruned_trees(table_runs(every), every)
     runs["total_steps"] = [steps_in_all(run) for run in runs.to_dict("records")]
@@ -34,11 +35,11 @@ def headline_table(results_dir: Path) -> str:
         leaves = ", ".join(f"{source['leaves_pruned'].mean():,.0f}" for source in sources[1:])
         best = best_published(task)
         steps = ", ".join(dict.fromkeys(f"{source['total_steps'].mean() / 1e6:.3g}M" for source in sources[1:]))
-        texts = [*(spread(cell["mean"], cell["std"]) for cell in chosen), f"{best:,.{_decimals(best)}f}", leaves, steps]
+        returns = (spread(cell["mean"], cell["std"]) + MARKS.get(cell["trainer"], "") for cell in chosen)
+        texts = [*returns, f"{best:,.{_decimals(best)}f}", leaves, steps]
         lines.append(f"| {TASK_NAMES[task]} | {' | '.join(texts)} |")
-    ours, theirs = order_of_methods(cells.reset_index())
-    order = f"Mean normalised return (0 random, 1 the thesis's best), in order: ours {ours}; the thesis's {theirs}."
-    return "\n".join([*lines, "", fill(order, 120)])
+    head, *order = (f"| {' | '.join(line)} |" for line in order_of_methods(cells.reset_index()))
+    return "\n".join([*lines, "", head, "| --- " * head.count(" | ") + "| --- |", *order])
 
 
 def _runs_of(runs: pd.DataFrame, task: str, method: str, depth: str, cell: "pd.Series[str]") -> pd.DataFrame:

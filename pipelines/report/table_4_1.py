@@ -67,12 +67,11 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
     cells = make_cells(runs)
     table = cells["table"] == "4.1"
     rows = {TASK_NAMES[task]: row for task, row in cells[table].groupby("task", sort=False)}
-    ours, theirs = order_of_methods(cells)
     markdown = page(
         "table_4_1.md",
         table=markdown_grid(HEAD, rows, {"ours": "shown", "thesis": "thesis"}),
         verdicts=verdict_counts(cells),
-        order=f"ours {ours or 'not run'}; the thesis's {theirs}",
+        order=markdown_table(order_of_methods(cells)),
         pendulum=pendulum_note(results_dir, cells),
         details=markdown_grid(HEAD, rows, DETAILS),
         provenance=markdown_table(_provenance(cells, runs), empty="Nothing of this table has been run yet."),

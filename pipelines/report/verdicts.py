@@ -54,6 +54,7 @@ def _line(kind: str, runs: pd.DataFrame, linear: pd.DataFrame) -> list[str]:
     first, returns = runs.iloc[0], runs["return_mean"]
     n_leaves = sorted({int(runs["leaves_pruned"].min()), int(runs["leaves_pruned"].max())})
     name = METHOD_NAMES[first["method"]] + ("" if first["depth"] == "0" else f" ({first['depth']})")
+    name = name.replace("OTR, distilled", "Linear, imitating") if kind == "linear" else name
     share = "" if kind == "linear" else f"{100 * probability_of_improvement(returns, linear['return_mean']):.0f} %"
     leaves = " to ".join(f"{n:,}" for n in n_leaves)
     return [f"{kind}: {name}", spread(returns.mean(), returns.std()), leaves, str(len(runs)), share]

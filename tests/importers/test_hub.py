@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
@@ -22,7 +23,8 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder sb3/ppo-CartPole-v1 of a hub, as rl-baselines3-zoo fills it; a download copies what is asked for."""
     remote = tmp_path / "hub/sb3" / NAME
     envs = VecNormalize(make_vec_env("CartPole-v1", n_envs=2, seed=0))
-    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, seed=0, device="cpu").learn(64)
+    small = {"net_arch": [4], "activation_fn": torch.nn.ReLU}
+    model = PPO("MlpPolicy", envs, n_steps=32, batch_size=64, seed=0, device="cpu", policy_kwargs=small).learn(64)
     model.save(remote / NAME)
     envs.save(str(remote / "vec_normalize.pkl"))
     for other in ("train_eval_metrics.zip", "replay.mp4"):
@@ -75,6 +77,8 @@ def test_a_run_takes_its_model_or_oracle_from_the_hub(hub: Path, tmp_path: Path)
     words = "env=CartPole-v1", "method=augtree", "depth=2", "budget=smoke", "n_workers=1", "stages=[oracle,imitate]"
     done = otr_succeeds("otr-run", *words, f"oracle=hf://sb3/{NAME}", cwd=tmp_path)
     assert "vec_normalize.pkl" in done.stderr
+    done = otr_succeeds("otr-run", "env=CartPole-v1", "budget=smoke", f"model=hf://sb3/{NAME}", cwd=tmp_path)
+    assert "vec_normalize.pkl" in done.stderr and "leaves" in done.stdout
     missing = otr_command("otr-run", "env=CartPole-v1", "model=hf://sb3/none", cwd=tmp_path)
     assert missing.returncode == 2 and "model=hf://sb3/none: sb3/none cannot be read" in " ".join(
         missing.stderr.split()

@@ -78,6 +78,7 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 docs: .venv/.installed-docs  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	$(BIN)/otr-report gallery=site/gallery/pages
+	$(BIN)/otr-tabulate curves run=results/runs out=site/curves.csv > /dev/null
 
 # Nothing but numpy and scipy is there: the library's example runs, and a command says which extra it needs.
 DIST := .venv-dist/bin

@@ -7,7 +7,6 @@ selection episodes. Of each trainer the runs with the most steps are shown.
 """
 
 import argparse
-import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,15 @@ from pipelines.cli.runs import load_config
 from pipelines.config.algo import SacConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.report import load_runs
-from pipelines.report.figures.style import COLOURS, NORMAL, SMALL, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures.style import (
+    NORMAL,
+    OF_LINES,
+    SMALL,
+    figure_of_panels,
+    legend_line,
+    line_styles,
+    set_legend,
+)
 from pipelines.training.estimates import learning_starts
 
 if TYPE_CHECKING:
@@ -89,16 +96,16 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> "Figure":
 
     if curves.empty:
         raise ValueError("no curves were given")
-    colours = dict(zip(dict.fromkeys(curves["label"]), itertools.cycle(COLOURS), strict=False))
+    styles = line_styles(curves["label"])
     costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
     ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
     names = pd.DataFrame({"panel": ["by steps", "by time"]})
     figure, panels = figure_of_panels(
-        names, 2, 2, ("", "return of the best policy so far"), len(colours), share=(False, True)
+        names, 2, 2, ("", "return of the best policy so far"), len(styles), share=(False, True)
     )
     for panel, cost in zip(panels, costs, strict=True):
-        for label, colour in colours.items():
-            _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
+        for label, style in styles.items():
+            _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, style)
         panel.set_xscale("log")
         panel.set_xlabel(f"{costs[cost]} (log scale)", fontsize=SMALL)
         panel.xaxis.set_major_locator(LogLocator(subs=ticks[cost]))
@@ -107,13 +114,13 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> "Figure":
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         panel.set_ylim(bottom=0)
     figure.suptitle(title, fontsize=NORMAL)
-    set_legend(figure, [legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
+    set_legend(figure, [legend_line(label, linewidth=1.8, **style) for label, style in styles.items()], 1, OF_LINES)
     return figure
 
 
-def _draw_curves(panel: "Axes", curves: pd.DataFrame, cost: str, colour: str) -> None:
+def _draw_curves(panel: "Axes", curves: pd.DataFrame, cost: str, style: dict[str, Any]) -> None:
     runs = [run.set_index(cost)["best"] for _, run in curves.groupby("seed")]
-    style: dict[str, Any] = {"color": colour, "drawstyle": "steps-post"}
+    style = style | {"drawstyle": "steps-post"}
     if len(runs) == 1:
         panel.plot(runs[0].index, runs[0], linewidth=1.8, **style)
         return

@@ -55,6 +55,11 @@ def _is_smoke(runs: pd.DataFrame) -> pd.Series:
     return runs["budget"].str.split("-").str[0] == "smoke"
 
 
+def run_in_words(budget: str, seed: object) -> str:
+    """Return a run's budget, without its trainer, and its seed in words: `budget standard, seed 2`."""
+    return f"budget {budget.partition('-')[0]}, seed {seed}"
+
+
 def method_name(methods: pd.Series) -> pd.Series:
     """Return methods as tables name them, from their folders' names."""
     return methods.str.replace("_", "-")

@@ -54,7 +54,7 @@ def _sizes(run: dict[str, Any], results_dir: Path) -> tuple[float, float, float,
     written = nan
     for name in (["polish/tree.npz"] if is_polished else []) + ["prune/tree.npz"]:
         if exists(folder / name):
-            written = _written(folder / name)
+            written, _ = written_numbers(folder / name)
             break
     else:
         if weights:  # kept as its paths alone: a test fewer than leaves, each of them affine
@@ -78,12 +78,13 @@ def _shapes(actor: Path) -> list[list[int]]:
     return [named[name] for name in sorted(named) if len(named[name]) == 2]
 
 
-def _written(tree: Path) -> float:
+def written_numbers(tree: Path) -> tuple[float, int]:
+    """Return how many numbers of a kept tree are not 0, its leaves' labels among them, and how many tests it has."""
     arrays = np.load(io.BytesIO(read_bytes(tree)), allow_pickle=False)
     return float(sum(
         len(arrays[name]) if name == "labels" else np.count_nonzero(arrays[name])
         for name in (["P", "v"] + (["labels"] if "labels" in arrays else ["M", "c"]))
-    ))  # fmt: skip
+    )), len(arrays["v"])  # fmt: skip
 
 
 def _parameters_of_experts(n_experts: int, tree: Path) -> float:

@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
@@ -13,10 +12,11 @@ import numpy as np
 import pandas as pd
 
 import otr
+from pipelines.datasets import fragment_names
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.store import corrupt, exists, read_bytes, read_json
 from pipelines.report.cells import CSV_COLUMNS, DECIMALS, LINES, beside_the_thesis, summarise
-from pipelines.report.figures.style import auc_against_leaves
+from pipelines.report.figures.style import auc_of_methods
 from pipelines.report.frames import load_fits
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, resplit_interval
 from pipelines.report.text import latex_grid, latex_notes, markdown_grid, markdown_table, page, write_tables
@@ -48,7 +48,7 @@ HEAD = ["Method", "", *DATA.values()]
 
 
 def write_table_4_2(results_dir: Path) -> list[Path]:
-    """Write Table 4.2 and, where there are fits, its figure; also the picture of a tree where that is at hand."""
+    """Write Table 4.2 and, where there are fits, its figure; also a picture of the tree that it prints."""
     fits = own_fits(load_fits(results_dir))
     cells = make_cells(fits)
     table = cells[cells["table"] == "4.2"]
@@ -69,7 +69,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
     )
     latex = latex_notes(r"\usepackage{booktabs}", markdown) + latex_grid(HEAD, rows, LINES)
     paths = write_tables(results_dir, "table_4_2", cells.reindex(columns=COLUMNS).round(DECIMALS), markdown, latex)
-    return [*paths, *_write_figure(ran, results_dir), *_copy_tree_picture(results_dir)]
+    return [*paths, *_write_figure(ran, results_dir), *_draw_sparse_tree(results_dir)]
 
 
 def own_fits(fits: pd.DataFrame) -> pd.DataFrame:
@@ -279,7 +279,7 @@ def _sparse(cells: pd.DataFrame) -> list[list[str]]:
 
 
 def _write_figure(cells: pd.DataFrame, results_dir: Path) -> list[Path]:
-    """Write test AUC against leaves reached, a panel a data set; nothing where nothing was run."""
+    """Write the test AUC and the leaves reached, a panel a data set; nothing where nothing was run."""
     points = cells[cells["metric"] == "auc"]
     if points.empty:
         return []
@@ -287,19 +287,28 @@ def _write_figure(cells: pd.DataFrame, results_dir: Path) -> list[Path]:
     names = {"panel": points["task"].map(DATA), "label": points["method"].map(LEARNERS), "published": published}
     path = results_dir / "figures" / "table_4_2.png"
     path.parent.mkdir(parents=True, exist_ok=True)
-    otr.save_picture(auc_against_leaves(points.assign(**names)), path)
+    otr.save_picture(auc_of_methods(points.assign(**names)), path)
     return [path]
 
 
-def _copy_tree_picture(results_dir: Path) -> list[Path]:
-    """Put the picture of the sparse model's tree next to the figure, where the tree has been kept."""
-    source = results_dir / SHOWN / "fit" / "tree.png"
-    if not source.is_file():
+def _draw_sparse_tree(results_dir: Path) -> list[Path]:
+    """Draw the sparse model's tree, read from its printed program, where that is at hand."""
+    if not (program := _printed(results_dir)):
         return []
-    return [Path(shutil.copyfile(source, results_dir / "figures" / "tree_bace.png"))]
+    features, classes = fragment_names("bace"), ("Class 0", "Class 1")
+    tree = otr.parse_program(program, features, labels=True, output_names=classes)
+    path = results_dir / "figures" / "tree_bace.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    otr.save_picture(otr.draw_tree(tree, feature_names=features, output_names=classes, max_terms=8), path)
+    return [path]
 
 
 def _sparse_program(results_dir: Path) -> str:
     """Return the printed tree of the sparse model with the first seed, where it is at hand."""
+    program = _printed(results_dir)
+    return page("sparse_program.md", program=program) if program else ""
+
+
+def _printed(results_dir: Path) -> str:
     path = results_dir / SHOWN / "score" / "program.txt"
-    return page("sparse_program.md", program=read_bytes(path).decode()) if exists(path) else ""
+    return read_bytes(path).decode() if exists(path) else ""

@@ -38,7 +38,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvCon
             "the network is the trained policy, whose observations are clipped there"
         )
     if "oracle" in summary:
-        lines.append(likeness(summary["oracle"]))
+        lines.append(f"oracle {summary['oracle']['hidden_widths']}: {likeness(summary['oracle'])}")
     if "polish" in summary:
         lines.append(_polished(summary["polish"]))
     if "total_steps" in summary:
@@ -83,10 +83,11 @@ def _fewer_answers(program: str, n_leaves: int) -> list[str]:
 def likeness(oracle: dict[str, Any]) -> str:
     """Return how similar the tree is to the oracle, as text."""
     if "equal_labels" in oracle:
-        like = f"chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"
-    else:
-        like = f"is {oracle['mean_difference']:.3g} from the oracle's actions on average, on the states that it visits"
-    return f"oracle {oracle['hidden_widths']}: the tree {like}"
+        return (
+            f"the tree chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"
+        )
+    apart = f"{oracle['mean_difference']:.3g}"
+    return f"the tree is {apart} from the oracle's actions on average, on the states that it visits"
 
 
 def proof_line(report: dict[str, Any], env: EnvConfig | None = None) -> str:

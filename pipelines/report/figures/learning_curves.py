@@ -12,10 +12,11 @@ import pandas as pd
 from pipelines.engine.store import exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
 from pipelines.report.figures.style import (
-    COLOURS,
     NORMAL,
+    OF_LINES,
     figure_of_panels,
     legend_line,
+    line_styles,
     panel_and_label,
     set_legend,
 )
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Style = dict[str, Any]  # of a line
-LINES = ("-", ":", "-.")  # once the colours are used up
 CROSS: Style = {"marker": "x", "markersize": 6, "markeredgewidth": 1.5}
 LOG_FROM = 8  # times that what one label spent is more than another: the axis is logarithmic
 STEPS, ROWS = "environment steps", "rows that the imitator learnt from"
@@ -120,10 +120,7 @@ def learning_curves(curves: pd.DataFrame) -> Figure:
         curves: as `load_curves` returns it.
     """
     labels = list(dict.fromkeys(curves["label"]))
-    styles: dict[str, Style] = {
-        label: {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i // len(COLOURS) % len(LINES)]}
-        for i, label in enumerate(labels)
-    }
+    styles = line_styles(labels)
     n_panels = curves["panel"].nunique()
     units = " or ".join(dict.fromkeys(curves["unit"]))
     n_columns = min(n_panels, 3)
@@ -142,7 +139,7 @@ def learning_curves(curves: pd.DataFrame) -> Figure:
     handles.append(legend_line("chosen", color="none", marker="o", markerfacecolor="#444444", markeredgecolor="white"))
     if curves["final"].notna().any():
         handles.append(legend_line("its tree, evaluated", color="#444444", linestyle="none", **CROSS))
-    set_legend(figure, handles, 2)
+    set_legend(figure, handles, 2, OF_LINES)
     if (n_runs := curves["run"].nunique()) > 1:
         figure.suptitle(f"{n_runs} runs; thick: their mean", fontsize=NORMAL)
     return figure

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+OF_LINES = 3.0  # letters that a line in a legend is long, so that its dashes are seen
 PANEL_WIDTH, PANEL_HEIGHT, LEGEND_ROW = 3.4, 2.35, 0.2  # inches
 SMALL, NORMAL = 8, 9  # points
 MOST_TICKS = 6
@@ -35,6 +36,9 @@ OF_METHODS = {
 }  # fmt: skip
 OF_METHODS["AugTree"] = OF_METHODS["Experts"]  # no figure has both
 DASHES, DOTS, HOLLOW_LARGER = (0, (5, 3)), (0, (1, 2)), 3  # points
+
+# Of lines, so that more than their colours distinguish them; 6 and 7 have no common divisor: there are 42 pairs.
+LINES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1, 1)), (0, (4, 1, 1, 1)), (0, (2, 1)), (0, (4, 1, 1, 1, 1, 1)))
 
 Styles = dict[str, dict[str, Any]]
 
@@ -72,12 +76,12 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     return figure
 
 
-def auc_against_leaves(points: pd.DataFrame) -> Figure:
-    """Return a figure of the test AUC against the number of leaves, a panel for each data set.
+def auc_of_methods(points: pd.DataFrame) -> Figure:
+    """Return a figure of the test AUC, a panel for each data set and a line for each method, which it names.
 
-    Bars are one standard deviation to either side; hollow markers are the thesis's numbers, put at the leaves that
-    were reached here; a dashed line is the score of a single leaf, which is the linear model. Panels, and methods in
-    the legend, come in the order of the points.
+    Bars are one standard deviation to either side; hollow dots are the thesis's numbers; a dashed line is the score of
+    a single leaf, which is the linear model. To the right are the leaves. Panels, and methods from the top, come in
+    the order of the points.
 
     Args:
         points: at least one; columns `panel` (its title), `label` (the method in words), `leaves` (that rows reach, at
@@ -88,23 +92,35 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     if points.empty or len(wrong):
         what = f"{wrong.iloc[0].to_dict()}" if len(wrong) else "no points were given"
         raise ValueError(f"{what}; expected points with at least 1 leaf")
-    styles = styles_of(points["label"])
-    handles = [legend_line(label, linestyle="none", **style) for label, style in styles.items()]
+    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": COLOURS[0]}
+    hollow = dot | {"color": INK, "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
+    handles = [legend_line("ours", **dot)]
     if points["published"].notna().any():
-        hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
-        handles.append(legend_line("hollow: thesis, at our leaves", linestyle="none", markeredgecolor=GREY, **hollow))
+        handles.append(legend_line("thesis", **hollow))
     if (points["leaves"] == 1).any():
         handles.append(legend_line("score of one leaf", color=GREY, linestyle=DASHES, linewidth=1))
+    labels = list(dict.fromkeys(points["label"]))
     n_panels = points["panel"].nunique()
     n_columns = n_panels if n_panels < 3 else 2 if n_panels == 4 else 3
-    n_legend_rows = math.ceil(len(handles) / min(len(handles), 2 * n_columns))
-    figure, panels = figure_of_panels(
-        points, n_columns, n_columns, ("leaves reached (log scale)", "test AUC"), n_legend_rows
-    )
+    figure, panels = figure_of_panels(points, n_columns, n_columns, ("test AUC", ""), share=(False, True))
     for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
-        _draw_scores(panel, own, styles)
-    set_leaf_ticks(panels[0], points["leaves"].max())
-    set_legend(figure, handles, 2 * n_columns)
+        for point in own.itertuples():
+            line = labels.index(point.label)
+            if point.leaves == 1:
+                panel.axvline(point.mean, color=GREY, linestyle=DASHES, linewidth=1, zorder=1)
+            spread = None if math.isnan(point.std) else point.std
+            panel.errorbar([point.mean], [line], xerr=spread, capsize=2.5, elinewidth=1, zorder=3, **dot)
+            if not math.isnan(point.published):  # larger, so that it shows around the other where the two agree
+                panel.plot([point.published], [line], zorder=4, **hollow)
+            panel.text(1.02, line, f"{point.leaves:,.0f}", transform=panel.get_yaxis_transform(), va="center",
+                       fontsize=SMALL - 1, color=GREY)  # fmt: skip
+        panel.set_title("leaves", fontsize=SMALL - 1, color=GREY, loc="right")
+        panel.locator_params(axis="x", nbins=5)
+    panels[0].set_yticks(range(len(labels)), labels)
+    panels[0].set_ylim(len(labels) - 0.4, -0.6)
+    for i, panel in enumerate(panels):
+        panel.tick_params(labelleft=i % n_columns == 0)
+    set_legend(figure, handles, 3)
     return figure
 
 
@@ -161,24 +177,12 @@ def styles_of(labels: Iterable[str]) -> Styles:
     return styles
 
 
-def _draw_scores(panel: Axes, points: pd.DataFrame, styles: Styles) -> None:
-    for point in points[points["leaves"] == 1].itertuples():
-        panel.axhline(point.mean, color=styles[point.label]["color"], linestyle=DASHES, linewidth=1, zorder=1)
-    for label, style in styles.items():
-        own = points[points["label"] == label].sort_values("leaves", kind="stable")
-        if len(own) > 1:
-            panel.plot(own["leaves"], own["mean"], color=style["color"], linewidth=1, alpha=0.6, zorder=2)
-        for point in own.itertuples():
-            # The hollow marker is the larger one, so that it shows around the filled one where the two agree.
-            if not math.isnan(point.published):
-                hollow = {**style, "markersize": style["markersize"] + HOLLOW_LARGER, "markerfacecolor": "none"}
-                panel.plot([point.leaves], [point.published], linestyle="none", markeredgewidth=1, zorder=3, **hollow)
-            panel.errorbar(
-                [point.leaves], [point.mean], yerr=None if math.isnan(point.std) else point.std, linestyle="none",
-                elinewidth=1, capsize=2.5, markeredgecolor="white", markeredgewidth=0.5, zorder=4, **style,
-            )  # fmt: skip
-    panel.set_xscale("log", base=2)
-    panel.locator_params(axis="y", nbins=5)
+def line_styles(labels: Iterable[str]) -> Styles:
+    """Return colour and dashes of every label, in the order in which they first come."""
+    return {
+        label: {"color": COLOURS[i % len(COLOURS)], "linestyle": LINES[i % len(LINES)]}
+        for i, label in enumerate(dict.fromkeys(labels))
+    }
 
 
 def _draw_depths(panel: Axes, points: pd.DataFrame, styles: Styles, solved: float) -> None:
@@ -232,9 +236,9 @@ def legend_line(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-def set_legend(figure: Figure, handles: list[Line2D], n_columns: int) -> None:
+def set_legend(figure: Figure, handles: list[Line2D], n_columns: int, handle_length: float = 2.0) -> None:
     """Put a legend below the panels."""
     figure.legend(
         handles=handles, loc="outside lower center", ncols=min(n_columns, len(handles)),
-        frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4,
+        frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4, handlelength=handle_length,
     )  # fmt: skip

@@ -56,7 +56,7 @@ class Listed:
 
 def policy_table(policies: Sequence[Listed]) -> str:
     """Return the list of policies: a table that sorts, by whose links one is chosen."""
-    rows = []
+    head, rows = ["Environment", "Policy", "Return", "Leaves", "Numbers", "Proved"], []
     for each in policies:
         verdict = each.data["verdict"]
         value, text = verdict["return"] or ("", "not evaluated")
@@ -64,14 +64,14 @@ def policy_table(policies: Sequence[Listed]) -> str:
             f'href="{escape(each.file)}" target=_top' if each.file else f'href="#view" data-policy="{escape(each.key)}"'
         )
         shown = f'<img src="{escape(each.picture)}" alt="an episode" loading=lazy><br>' if each.picture else ""
-        cells = [
-            f"<td>{escape(each.group)}</td><th scope=row><a {link}>{shown}{escape(each.name)}</a></th>",
-            f'<td data-value="{value}">{text}</td>',
-            *(f'<td data-value="{verdict[size]}">{verdict[size]:,}</td>' for size in ("n_leaves", "n_numbers")),
-            f"<td>{'yes' if verdict['proof'] else 'no'}</td>",
-        ]
-        rows.append(f"<tr>{''.join(cells)}</tr>")
-    head = ["Environment", "Policy", "Return", "Leaves", "Numbers", "Proved"]
+        cells = [(value, text), *((verdict[size], f"{verdict[size]:,}") for size in ("n_leaves", "n_numbers")),
+                 (verdict["proved"], verdict["proved"])]  # fmt: skip
+        tds = (f'<td data-name={name} data-value="{value}">{text}</td>'
+               for name, (value, text) in zip(head[2:], cells, strict=True))  # fmt: skip
+        rows.append(
+            f"<tr><td data-name={head[0]}>{escape(each.group)}</td>"
+            f"<th scope=row><a {link}>{shown}{escape(each.name)}</a></th>{''.join(tds)}</tr>"
+        )
     table = _table("Return: mean ± deviation over the evaluation episodes", head, "".join(rows))
     kind = "list long" if len(policies) > MOST_SHOWN else "list"
     return (

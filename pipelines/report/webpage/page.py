@@ -24,7 +24,7 @@ from pipelines.engine.store import read_summary
 from pipelines.engine.time_left import progress_lines
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report import table_4_1, table_4_2
-from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs, with_pruned_trees
+from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, run_in_words, table_runs, with_pruned_trees
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
@@ -160,7 +160,7 @@ def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path)
         name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
         shown.append(
             Shown(
-                f"{name}, {nearest['budget']}, seed {nearest['seed']}",
+                f"{name}, {run_in_words(nearest['budget'], nearest['seed'])}",
                 TASK_NAMES.get(cell.task, cell.task),
                 folder,
                 form,

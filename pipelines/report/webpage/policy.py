@@ -119,7 +119,7 @@ def policy_data(
         "left_out": [language for language in EXPORTS if language not in programs],
         "export_command": command_for("otr-export", folder, form, "format=NAME"),
         "page_command": command_for("otr-report", folder, form),
-        "verdict": verdict(run, folder, form, tree, certificate),
+        "verdict": verdict(run, folder, form, tree, visited, certificate),
     }
 
 
@@ -146,11 +146,12 @@ def _rounds_unseen(tree: otr.ObliqueTree, states: NDArray[Any]) -> bool:
 
 
 def _texts(run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree) -> list[list[str]]:
-    """Return titles and programs, the shortest first: the simplified tree's where the run has one, and the tree's."""
+    """Return titles and programs, the shortest first: the simplified tree's where the run has one, and the whole."""
     features, answers = feature_names(run.env, tree.n_inputs), action_names(run.env, tree.n_answers)
     summary, trees = read_summary(folder), {form: tree}
-    if "simplify" in summary and form != "simplified":
-        trees["simplified"] = page_tree(run, folder, "simplified")
+    if "simplify" in summary:
+        other = "simplified" if form != "simplified" else "polished" if "polish" in summary else "pruned"
+        trees[other] = page_tree(run, folder, other)
     programs = []
     for each, shown in sorted(trees.items(), key=lambda item: n_numbers(item[1])):
         size = f"{number_of(shown.n_leaves, 'leaf')}, {number_of(n_numbers(shown), 'number')}"

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 import otr
 from otr.shorten.edits import n_numbers
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
+from pipelines.play.spaces import spaces
+from pipelines.report.cells import METHOD_NAMES, run_in_words
 from pipelines.report.headline import spread
 from pipelines.report.statistics import welch_p_value
-from pipelines.runs.finished_run import results_of
+from pipelines.runs.finished_run import results_of, tree_of
+from pipelines.runs.questions import number_of
 from pipelines.runs.result import likeness, proof_line
 
 ALPHA = 0.05  # of a difference that a page calls one
@@ -55,19 +61,29 @@ def returns_of(summary: Mapping[str, Any], form: str, about: str = "") -> Return
 
 
 def verdict(
-    run: RunConfig, folder: Path, form: str, tree: otr.ObliqueTree, certificate: Mapping[str, Any] | None = None
+    run: RunConfig,
+    folder: Path,
+    form: str,
+    tree: otr.ObliqueTree,
+    visited: NDArray[Any],
+    certificate: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return what a page says of a run's tree before it shows it, as JSON-able data; `policy_data` has the arguments.
 
+    Args:
+        visited: states (n, d), on which a shorter program's actions are compared with those of the tree it shortens.
+
     Returns:
-        `lead`: a sentence or two; `rows`: of each policy its name, what it is, its return, leaves and numbers;
-        `lines`: how similarly it acts; `proof`; and the numbers of the list of policies.
+        `lead`: a sentence or two; `rows`: of each policy its name, its size and what it is, and its return;
+        `lines`: how similarly it acts; `proof`; and the columns of the list of policies.
     """
     summary = read_summary(folder) | ({"certify": certificate} if certificate else {})
     own, numbers = returns_of(summary, form), n_numbers(tree)
     known = best_known(results_of(folder), run.env.name)
     widths = summary.get("oracle", {}).get("hidden_widths")
-    oracle = returns_of(summary, "oracle", f"{widths}, which this tree imitates") or known.get("oracle")
+    oracle = returns_of(summary, "oracle", f"{network_in_words(widths)}, which this tree imitates") or known.get(
+        "oracle"
+    )
     others: list[tuple[str, Returns | None, int | None, int | None]] = []
     if form != "simplified" and (shorter := returns_of(summary, "simplified", "whose program is below")):
         others.append(("simplified", shorter, summary["simplify"]["n_leaves"], summary["simplify"]["n_numbers"]))
@@ -80,8 +96,10 @@ def verdict(
         "lead": _lead(own, None if tree.n_nodes == 0 else known.get("linear")),
         "rows": [_row(*each, own.n_episodes if own else 0)
                  for each in ((f"this tree ({form})", own, tree.n_leaves, numbers), *others)],
-        "lines": _likeness(summary, form),
+        "lines": [*(_shortened(run, folder, summary, tree, visited) if form == "simplified" else []),
+                  *_likeness(summary, form)],
         "proof": proof(summary, form),
+        "proved": _proved(summary, form),
         "unproved": UNPROVED[run.method.is_mapped],
         "return": None if own is None else [own.mean, str(own)],
         "n_leaves": tree.n_leaves,
@@ -90,11 +108,11 @@ def verdict(
 
 
 def _row(name: str, returns: Returns | None, n_leaves: int | None, numbers: int | None, n_episodes: int) -> list[str]:
-    sizes = ["" if size is None else f"{size:,}" for size in (n_leaves, numbers)]
+    sizes = [number_of(n, what) for n, what in ((n_leaves, "leaf"), (numbers, "number")) if n is not None]
     if returns is None:
-        return [name, "", "not run", *sizes]
+        return [name, ", ".join(sizes), "not run"]
     over = [] if returns.n_episodes == n_episodes else [f"over {returns.n_episodes:,} episodes"]
-    return [name, ", ".join(filter(None, [returns.about, *over])), str(returns), *sizes]
+    return [name, ", ".join(filter(None, [*sizes, returns.about, *over])), str(returns)]
 
 
 def _lead(own: Returns | None, linear: Returns | None) -> str:
@@ -108,7 +126,7 @@ def _lead(own: Returns | None, linear: Returns | None) -> str:
     is_one = p < ALPHA if p == p else own.mean != linear.mean
     side = "higher than" if own.mean > linear.mean else "lower than"
     how = f"is {side}" if is_one else "does not differ significantly from"
-    return f"{text} That {how} the best linear policy's {linear}."
+    return f"{text} That {how} the best linear policy's {linear}: these two policies compared, not their methods."
 
 
 def _likeness(summary: Mapping[str, Any], form: str) -> list[str]:
@@ -119,13 +137,24 @@ def _likeness(summary: Mapping[str, Any], form: str) -> list[str]:
     if form == "polished":
         before = spread(*(summary["polish"][f"return_{name}_before"] for name in ("mean", "std")))
         lines.append(f"Before the polish it returned {before}.")
-    if form == "simplified":
-        lines.append(
-            f"It acts as the tree that it shortens in {100 * summary['simplify']['fidelity']:.1f} % of states."
-        )
     if "oracle" in summary:
         lines.append(f"{likeness(summary['oracle']).capitalize()}.")
     return lines
+
+
+def _shortened(
+    run: RunConfig, folder: Path, summary: Mapping[str, Any], tree: otr.ObliqueTree, visited: NDArray[Any]
+) -> list[str]:
+    """Return how a shorter program acts compared with the tree that it shortens: labels alike, or actions apart."""
+    form, box = "polished" if "polish" in summary else "pruned", spaces(run.env).box
+    if box is None:
+        alike = 100 * summary["simplify"]["fidelity"]
+        return [f"It chooses as the {form} tree, which it shortens, in {alike:.1f} % of the states."]
+    apart = np.abs(tree.predict(visited) - tree_of(form, run, folder).predict(visited)) / (box[1] - box[0])
+    return [
+        f"Its actions differ from those of the {form} tree, which it shortens, by {apart.mean():.1%} of their range on "
+        f"average and {apart.max():.1%} at most, on {len(visited):,} states that it visits.".replace("%", " %")
+    ]
 
 
 def proof(summary: Mapping[str, Any], form: str) -> str:
@@ -135,7 +164,18 @@ def proof(summary: Mapping[str, Any], form: str) -> str:
     text = proof_line(summary["certify"])
     if "polish" in summary and summary["certify"].get("policy") != "polished":
         text += ". It is of the network before the polish"
+    if form == "simplified":
+        return f"{text}. The tree below is a simplified one, another policy, of which nothing is proved."
     return text if form == "minimal" else f"{text}. The tree below is the {form} one."
+
+
+def _proved(summary: Mapping[str, Any], form: str) -> str:
+    """Return what is proved in a few words; "no" where the certificate is of another policy's network."""
+    certificate, polished = summary.get("certify", {}), summary.get("polish", {}).get("kept", False)
+    is_its = (certificate.get("policy") == "polished") == (form == "polished" and polished)
+    if not certificate.get("certified") or form == "simplified" or not is_its:
+        return "no"
+    return f"its network's tree, {number_of(certificate['n_leaves'], 'leaf')}"
 
 
 @functools.cache
@@ -152,14 +192,24 @@ def best_known(results_dir: Path, env: str) -> dict[str, Returns]:
         except PipelineError:
             continue
         method, depth, budget, seed = path.parts[-5:-1]
-        where = f"{budget}, {seed.replace('-', ' ')}"
-        forms = [("oracle", "oracle", f"{summary.get('oracle', {}).get('hidden_widths')}, {where}")]
+        where = run_in_words(budget, seed.removeprefix("seed-"))
+        oracle = network_in_words(summary.get("oracle", {}).get("hidden_widths"))
+        forms, name = [("oracle", "oracle", f"{oracle}, {where}")], METHOD_NAMES.get(method.replace("_", "-"), method)
         if depth == "depth-0":
-            polished = [("polished", f"{method}, {where}, polished")] if summary.get("polish", {}).get("kept") else []
-            forms += [("linear", *each) for each in (("pruned", f"{method}, {where}"), *polished)]
+            polished = [("polished", f"{name}, {where}, polished")] if summary.get("polish", {}).get("kept") else []
+            forms += [("linear", *each) for each in (("pruned", f"{name}, {where}"), *polished)]
         for kind, form, about in forms:
             if returns := returns_of(summary, form, about):
                 found[kind].append(returns)
     best = {kind: max(known, key=lambda each: each.mean) for kind, known in found.items() if known}
     n = {kind: len({each.mean for each in known}) for kind, known in found.items()}  # several imitate one oracle
     return {kind: replace(each, about=f"the best of {n[kind]:,} known: {each.about}") for kind, each in best.items()}
+
+
+def network_in_words(widths: Sequence[int] | None) -> str:
+    """Return an oracle's hidden layers in words: a network of two layers of 256."""
+    if not widths:
+        return "a linear policy" if widths is not None else "a policy"
+    layers = {1: "one layer", 2: "two layers"}.get(len(widths), f"{len(widths)} layers")
+    sizes = widths if len({*widths}) > 1 else widths[:1]
+    return f"a network of {layers} of {' and '.join(map(str, sizes))}"

@@ -52,6 +52,8 @@ def test_one_run_has_a_band_and_several_have_a_mean() -> None:
     assert mean.get_xdata().tolist() == [0, 5, 10]  # where both have a value
     np.testing.assert_allclose(mean.get_ydata(), [2.0, 3.0, (3 + 8 / 3) / 2])
     short, long = curve("a", (1, 1.0), (10, 3.0)), curve("b", (1, 1.0), (1000, 3.0), label="ars")
+    solid, dashed = (line.get_linestyle() for line in learning_curves(pd.concat([short, long])).axes[0].lines[::3])
+    assert (solid, dashed) == ("-", "--")
     scales = [learning_curves(each).axes[0].get_xscale() for each in (short, pd.concat([short, long]))]
     assert scales == ["linear", "log"]  # where one label spent much more
 

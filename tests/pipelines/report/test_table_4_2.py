@@ -3,11 +3,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipelines.engine.archive import MANIFEST_FIELDS
 from pipelines.engine.store import read_csv
 from pipelines.errors import PipelineError
-from pipelines.report.table_4_2 import write_table_4_2
+from pipelines.report.table_4_2 import _draw_sparse_tree, write_table_4_2
+from tests.committed import RESULTS
 
 
 def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:
@@ -63,3 +65,11 @@ def test_what_was_not_run_is_said_and_there_is_a_picture(results, tmp_path):
     bace, hiv = rows["bace", "otr"], rows["hiv", "otr"]
     assert (bace["n_runs"], bace["ci_low"]) == ("3", "")  # of three seeds there is no interval
     assert (hiv["note"], hiv["mean"], rows["sider", "otr"]["std"]) == ("not run", "", "")
+
+
+def test_the_tree_that_is_printed_is_drawn(tmp_path):
+    assert _draw_sparse_tree(tmp_path) == []
+    (tmp_path / "runs").symlink_to(RESULTS / "runs")
+    (path,) = _draw_sparse_tree(tmp_path)
+    width, height = Image.open(path).size
+    assert width > 1.5 * height  # from left to right

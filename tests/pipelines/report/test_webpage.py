@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import otr
+from otr.shorten.edits import n_numbers
 from pipelines.cli.runs import load_config
+from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import play_seeds
@@ -28,8 +30,9 @@ from pipelines.report.webpage.gallery import readable_trees, write_gallery
 from pipelines.report.webpage.page import write_results_page, write_run_page
 from pipelines.report.webpage.physical_units import unit_of
 from pipelines.report.webpage.policy import _rounds_unseen, page_tree, tree_data
-from pipelines.report.webpage.verdict import Returns, _lead, best_known, proof
+from pipelines.report.webpage.verdict import Returns, _lead, _proved, best_known, proof
 from pipelines.runs.below_random import random_returns
+from pipelines.runs.finished_run import tree_of
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
 from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command, otr_succeeds
@@ -140,9 +143,13 @@ def test_the_page_leads_with_what_the_policy_returns_compared_with_others(car: s
     known = best_known(RESULTS, "mountaincar")
     assert verdict["lead"].startswith("Returns 92.45 ± 0.15 over 1,000 episodes. That is lower than the best linear")
     rows = {row[0]: row[1:] for row in verdict["rows"]}
-    assert rows["this tree (pruned)"] == ["", "92.45 ± 0.15", "2", "8"] and rows["the network"][1] == "92.45 ± 0.15"
+    assert rows["this tree (pruned)"] == ["2 leaves, 8 numbers", "92.45 ± 0.15"]
+    assert rows["the network"][1] == "92.45 ± 0.15" and verdict["lead"].endswith(
+        "two policies compared, not their methods."
+    )
     assert rows["a linear policy"][1] == str(known["linear"]) == "97.83 ± 6.24"
-    assert rows["an oracle"][0].startswith("the best of 3 known: [32], quick, seed ")
+    assert rows["an oracle"][0].startswith("the best of 3 known: a network of one layer of 32, budget quick, seed ")
+    assert rows["a linear policy"][0] == "the best of 10 known: Linear, budget standard, seed 0"
     assert known["linear"].mean == max(
         json.loads(path.read_text())["policies"]["pruned_tree"]["return_mean"]
         for path in RESULTS.glob("runs/mountaincar/*/depth-0/*/seed-*/summary.json")
@@ -151,7 +158,7 @@ def test_the_page_leads_with_what_the_policy_returns_compared_with_others(car: s
     (first, _), (second, _) = data["texts"]  # the shorter one first
     assert first == "simplified tree: 1 leaf, 1 number, returns 91.34 ± 1.29" and second.startswith("pruned tree: 2 l")
     alone = stored(page_of_results(results_of(tmp_path, CAR)))[0]["verdict"]
-    assert [row[2] for row in alone["rows"]][-2:] == ["not run", "not run"]
+    assert [row[2] for row in alone["rows"]][-2:] == ["not run", "not run"] and alone["proved"].endswith(", 2 leaves")
     assert alone["lead"] == "Returns 92.45 ± 0.15 over 1,000 episodes."
 
 
@@ -163,17 +170,18 @@ def test_a_difference_is_one_where_it_is_significant(mean: float, says: str) -> 
 
 def test_the_gallery_chooses_by_its_rule_and_has_a_page_each(tmp_path: Path) -> None:
     runs = load_runs(RESULTS)
-    chosen = readable_trees(runs).set_index("task")
-    assert [*chosen.index] == [*TASK_NAMES] and chosen["leaves"].between(2, 40).all()
+    chosen = readable_trees(runs, RESULTS).set_index("task")
+    assert [*chosen.index] == [*TASK_NAMES] and chosen["leaves"].between(2, 64).all()
+    assert (chosen["numbers"] <= 4000).all() and not {"pid", "program"} & {*chosen["method"]}
     of_pendulum = runs[(runs["env"] == "pendulum") & (runs["form"] == "simplified")]
-    assert chosen.loc["pendulum", "leaves"] == of_pendulum["simplify.n_leaves"].min() == 4
-    known = runs[(runs["form"] == "pruned_tree") & runs["pruned_leaves"].between(2, 40) & (runs["method"] != "pid")]
-    for task, tree in chosen.iterrows():
-        of_task = known[(known["env"] == task) & ~known["budget"].str.startswith("smoke")]
-        random = random_returns()[str(task)]
-        bar = random + 0.95 * (of_task["return_mean"].max() - random)
-        assert tree["return_mean"] >= bar or tree["form"] != "pruned_tree"
-        assert (of_task[of_task["pruned_leaves"] < tree["leaves"]]["return_mean"] < bar).all()
+    assert chosen.loc["pendulum", "numbers"] == of_pendulum["simplify.n_numbers"].min() == 22
+    assert chosen.loc["mountaincar", "numbers"] == 8  # of as many leaves as one that returns more
+    known = runs[(runs["form"] == "pruned_tree") & runs["pruned_leaves"].between(2, 64) & (runs["settings"] == "")]
+    for row in known[known["env"] == "ant"].itertuples():
+        tree, random, folder = chosen.loc[row.task], random_returns()[str(row.task)], RESULTS / "runs" / row.run
+        numbers = n_numbers(tree_of("pruned", config_of(folder), folder))
+        assert tree["return_mean"] >= random + 0.95 * (row.return_mean - random) or numbers > 4000
+        assert numbers >= tree["numbers"] or row.return_mean < tree["return_mean"]
     index = write_gallery(results_of(tmp_path, CAR, LANDER), tmp_path / "gallery", config_of).read_text()
     assert re.findall(r'<a href="([^"]+)" target=_top', index) == ["mountaincar.html", "lunarlander.html"]
     page = (tmp_path / "gallery/lunarlander.html").read_text()
@@ -181,7 +189,7 @@ def test_the_gallery_chooses_by_its_rule_and_has_a_page_each(tmp_path: Path) -> 
     assert policy["form"] == "polished" and policy["folder"] == "" and '<a href="index.html">' in page
     moving = Image.open(tmp_path / "gallery/mountaincar.webp")
     assert moving.is_animated and moving.n_frames > 5  # type: ignore[attr-defined]
-    with pytest.raises(MissingInputError, match="no run there has a tree of 2 to 40 leaves"):
+    with pytest.raises(MissingInputError, match="no run there has a tree that tests and is short"):
         write_gallery(tmp_path / "nowhere", tmp_path / "none", config_of)
 
 
@@ -212,6 +220,40 @@ def test_a_proof_of_the_network_before_a_polish_says_so() -> None:
         assert ("It is of the network before the polish. The tree below is the polished one." in said) == (not policy)
 
 
+@pytest.mark.parametrize(
+    ("form", "kept", "of", "says"),
+    [
+        ("pruned", False, None, "its network's tree, 30 leaves"),
+        ("polished", True, "polished", "its network's tree, 30 leaves"),
+        ("pruned", True, "polished", "no"),  # the network that is proved is another one
+        ("polished", True, None, "no"),
+        ("simplified", False, None, "no"),
+    ],
+)
+def test_the_list_says_what_is_proved_of_the_tree_that_is_shown(
+    form: str, kept: bool, of: str | None, says: str
+) -> None:
+    summary = {
+        "certify": {"certified": True, "n_leaves": 30} | ({"policy": of} if of else {}),
+        "polish": {"kept": kept},
+    }
+    assert _proved(summary, form) == says and _proved(summary | {"certify": {"certified": False}}, form) == "no"
+
+
+def test_a_shorter_program_has_its_distance_from_the_tree_that_stands_behind_it(tmp_path: Path) -> None:
+    run = RESULTS / "runs/pendulum/otr/depth-6/quick/seed-0"
+    (data,) = stored(page_of_runs(tmp_path, run, form="simplified"))
+    (shorter, _), (whole, _) = data["texts"]
+    assert shorter.startswith("simplified tree: 4 leaves, 22 n") and whole.startswith("pruned tree: 20 leaves, 175 n")
+    config, (line,) = config_of(run), data["verdict"]["lines"]
+    short, full = (page_tree(config, run, form) for form in ("simplified", "pruned"))
+    seeds = [*episode_seeds(config.seed, "prune", 2), 1000]
+    X = play_seeds(short.predict, config.env, seeds, keep_states=True, n_workers=1).states
+    apart = 100 * np.abs(short.predict(X) - full.predict(X)) / 4  # torques are -2 to 2
+    assert f"by {apart.mean():.1f} % of their range on average and {apart.max():.1f} % at most, on 600 states" in line
+    assert data["verdict"]["proof"].endswith("a simplified one, another policy, of which nothing is proved.")
+
+
 def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     evil = "</script><img src=x onerror=alert(1)>"
     monkeypatch.setattr("pipelines.report.webpage.policy.feature_names", lambda env, n: [evil, "$style"])
@@ -232,7 +274,8 @@ def test_several_runs_are_chosen_from_a_list_and_terms_of_pid_have_ranges(tmp_pa
     lander, pid = stored(page)
     assert lander["tree"]["labels"] and lander["limits"] is None and "M" not in lander["tree"]
     assert page.count('<a href="#view"') == 2 and 'data-policy="policy-1">pid, depth 1, seed 0</a>' in page
-    assert f'<td data-value="{lander["verdict"]["return"][0]}">{lander["verdict"]["return"][1]}</td>' in page
+    value, text = lander["verdict"]["return"]
+    assert f'<td data-name=Return data-value="{value}">{text}</td>' in page
     assert len(pid["features"]) == 12 and all(feature["low"] < feature["high"] for feature in pid["features"])
     assert pid["tree"]["head"]["name"] == "pid_box"
 
@@ -263,7 +306,7 @@ def test_a_tree_that_is_too_large_names_the_command_that_makes_its_page(
     assert policy["env"] == "mountaincar" and 'data-policy="' not in page  # the lander's cell opens nothing
     line, of_polished = re.findall(r"<li>([^<]*)</li>", page)
     command = f"otr-report run={LANDER.relative_to(RESULTS / 'runs').as_posix()} tree=pruned results_dir={tmp_path}"
-    assert line.startswith("LunarLander, AugTree (2), quick, seed 0") and f"; {command} writes its page" in line
+    assert line.startswith("LunarLander, AugTree (2), budget quick, seed 0") and f"; {command} writes its page" in line
     assert "tree=polished" in of_polished
 
 

@@ -42,6 +42,8 @@ MOVE = """(states) => states.map((state) => {
   });
   return [Array.from(otr.view.x), otr.view.leaf, otr.view.answer];
 })"""
+SEEN = """(selector) => [...document.querySelectorAll(selector)].every(({ scrollWidth, clientWidth, parentElement }) =>
+  scrollWidth <= clientWidth && scrollWidth <= parentElement.clientWidth)"""  # no column is cut off
 SIZES = {"desk": (1280, 900), "phone": (390, 844)}
 
 
@@ -307,8 +309,10 @@ def test_the_gallery_is_light_and_its_pages_open(tmp_path: Path, opened: Any, si
     links = window.eval_on_selector_all(".list a", "all => all.map((link) => link.getAttribute('href'))")
     assert len(links) == 10 and window.locator(".list img").count() == 10
     assert window.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+    assert window.evaluate(SEEN, ".list")
     for link in links:
         assert (tmp_path / link).stat().st_size < 200_000
         page = opened(tmp_path / link, SIZES[size])
         assert page.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
-        assert page.inner_text(".lead").startswith("Returns ")
+        assert page.inner_text(".lead").startswith("Returns ") and page.locator("pre.program").count() >= 1
+        assert page.evaluate(SEEN, ".returns")

@@ -3,11 +3,10 @@
 
 /** Return the verdict: a sentence, a table of returns, how similarly it acts, and what is proved. */
 function verdictParts({ lead, rows, lines, proof, unproved }) {
-  const head = ["", "Return", "Leaves", "Numbers"].map((name) => (name ? element("th", { scope: "col" }, name) : element("td")));
-  const body = rows.map(([name, about, ...cells]) => element("tr", {}, element("th", { scope: "row" }, name, element("span", { class: "note" }, about)), ...cells.map((text) => element("td", {}, text))));
+  const body = rows.map(([name, about, text]) => element("tr", {}, element("th", { scope: "row" }, name, element("span", { class: "note" }, about)), element("td", {}, text)));
   return [
     element("p", { class: "lead" }, lead),
-    element("div", { class: "scroll" }, element("table", { class: "returns" }, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...body))),
+    element("table", { class: "returns" }, element("thead", {}, element("tr", {}, element("td"), element("th", { scope: "col" }, "Return"))), element("tbody", {}, ...body)),
     ...lines.map((line) => element("p", {}, line)),
     element("p", { class: "proof" }, proof || unproved),
   ];

@@ -29,8 +29,8 @@ class Wanted(NamedTuple):
 WANTED = (
     Wanted("experts", EIGHT, ("distilled-experts-polished",), ("4", "8", "16"), "standard-shrink",
            'otr-run -m env={tasks} method=distilled_experts depth=4,8,16 "seed=range(3,8)" trainer=shrink'),
-    Wanted("shrunk networks", EIGHT, ("distilled-otr-polished",), ("6", "32"), "standard-shrink",
-           'otr-run -m env={tasks} method=distilled_otr depth=6,32 "seed=range(3,8)" trainer=shrink'),
+    Wanted("shrunk networks", EIGHT, ("distilled-otr-polished",), ("0", "6", "32"), "standard-shrink",
+           'otr-run -m env={tasks} method=distilled_otr depth=0,6,32 "seed=range(3,8)" trainer=shrink'),
     Wanted("imitators polished by critics", ("reacher", "halfcheetah", "ant", "pendulum"),
            ("viper-critic-polished", "lm-viper-critic-polished", "ndps-critic-polished"), ("6",), "standard-fleet",
            'otr-run -m env={tasks} method=viper,lm_viper,ndps depth=6 "seed=range(3,8)" polish=true'),

@@ -67,7 +67,8 @@ def pendulum_note(results_dir: Path, cells: pd.DataFrame) -> str:
         "(value iteration on angle and rate, `python -m benchmarks pendulum_optimum`). The best here, "
         f"{name}, returns {best['mean']:.1f}, which is {optimum - best['mean']:.1f} less. The optimum's means of 100 "
         f"starts have a standard deviation of {deviation:.1f}: the thesis's best, {theirs:.1f} on 100 starts of its "
-        f"own, is {abs(theirs - optimum) / deviation:.1f} of it from the optimum.\n"
+        f"own, is {abs(theirs - optimum) / deviation:.1f} of it from the optimum. The "
+        "marks of the pendulum's cells do not take this into account.\n"
     )
 
 

@@ -58,7 +58,7 @@ def write_gallery(results_dir: Path, folder: Path, load_config: Callable[[Path],
         title = f"{task}: a tree of {policy.data['verdict']['n_leaves']} leaves"
         write_page(out, title, head, "", policies, {})
         listed.append(replace(policy, file=out.name, picture=_moving(policy.data["episode"], out.with_suffix(".webp"))))
-    compared = "Every page compares with the best linear policy and, where there are such, with its network and an oracle."
+    compared = "Every page compares with the best linear policy and, where there are such, its network and an oracle."
     text = f"<p>{RULE} {compared}</p>"
     return write_page(folder / "index.html", "A readable tree for each environment", text, policy_table(listed),
                       Policies({}, [], []), {})  # fmt: skip

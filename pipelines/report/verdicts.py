@@ -31,13 +31,13 @@ def verdicts(results_dir: Path) -> dict[str, str]:
         linear = _best(own[is_linear])
         small = _best(own[is_otr & own["depth"].isin(["1", "2", "6"])])
         trees = _best(own[~is_linear])
-        answers = ["yes" if _is_ahead(each, linear) else "no" for each in (small, trees)]
+        answers = ["yes" if _is_higher(each, linear) else "no" for each in (small, trees)]
         answers_of.append([name, *answers])
         kinds = {"linear": linear, "a small OTR": small, "any tree": trees}
         lines = [HEAD, ["---"] * len(HEAD), *(_line(kind, each, linear) for kind, each in kinds.items())]
-        verdict = f"Ahead of linear policies: a small OTR **{answers[0]}**, the best tree **{answers[1]}**."
+        verdict = f"Higher than linear policies: a small OTR **{answers[0]}**, the best tree **{answers[1]}**."
         found[task] = f"{verdict}\n\n{_table(lines)}"
-    head = [["ahead of linear policies?", "a small OTR", "any tree"], ["---"] * 3]
+    head = [["higher than linear policies?", "a small OTR", "any tree"], ["---"] * 3]
     return found | {"all": _table(head + answers_of)}
 
 
@@ -60,7 +60,7 @@ def _line(kind: str, runs: pd.DataFrame, linear: pd.DataFrame) -> list[str]:
     return [f"{kind}: {name}", spread(returns.mean(), returns.std()), leaves, str(len(runs)), share]
 
 
-def _is_ahead(runs: pd.DataFrame, linear: pd.DataFrame) -> bool:
+def _is_higher(runs: pd.DataFrame, linear: pd.DataFrame) -> bool:
     ours, theirs = runs["return_mean"], linear["return_mean"]
     low, _ = difference_interval(ours, theirs)
     return bool(probability_of_improvement(ours, theirs) == 1 if pd.isna(low) else low > 0)

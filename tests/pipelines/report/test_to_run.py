@@ -1,6 +1,8 @@
 """What is still to be run: counted from the runs that there are, until there are five of each policy."""
 
+import re
 import shlex
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -32,3 +34,12 @@ def test_the_commands_make_the_policies_that_are_counted(wanted: to_run.Wanted) 
         assert job.run_dir.parent.name == wanted.budget and job.config.changes == wanted.changes
         assert job.config.method.name.replace("_", "-") in wanted.methods[0]
         assert job.run_dir.parent.parent.name.removeprefix("depth-") in wanted.depths
+
+
+def test_the_commands_for_the_table_s_cells_name_its_tasks_once_each() -> None:
+    page = (Path(to_run.__file__).parent / "pages/table_4_1.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^\* `otr-run (.*)`", page, flags=re.MULTILINE)
+    folders = [job for each in commands for job in RUN.expand(shlex.split(each.removeprefix("-m ")), True)]
+    tasks = [next(word for word in own if word.startswith("env=")) for own in folders]
+    counts = {task: tasks.count(f"env={task}") for task in to_run.EIGHT}
+    assert counts == dict.fromkeys(to_run.EIGHT, 7 * 5)  # columns, seeds

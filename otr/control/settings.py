@@ -260,9 +260,10 @@ class CriticPolishSettings:
         refill_steps: that fill the replay buffer before, in which the oracle acts as it explored.
         student_share: of these, in which the policy itself acts: a weak policy needs data on its own mistakes.
         refill_noise: standard deviation of what is added to actions in [-1, 1] while the buffer is filled.
-        noise: the same from then on, at first.
-        learning_rate: of Adam, for the policy and the critics, at first.
-        noise_end, learning_rate_end: the final values of the two, as shares; they fall linearly.
+        noise: the same from then on.
+        learning_rate: of Adam, for the policy and the critics.
+        first_neurons: of a network of one hidden layer that has fewer, at first; the least useful go one by one,
+            and learning rates fall.
         batch_size: transitions an update.
         actor_value: what the policy climbs, the critics' "min" or their "mean".
     """
@@ -273,7 +274,6 @@ class CriticPolishSettings:
     refill_noise: NotNegative = 0.1
     noise: NotNegative = 0.1
     learning_rate: LearningRate = 1e-3
-    noise_end: Annotated[Share, AsBefore(1.0)] = 1.0
-    learning_rate_end: Annotated[Share, AsBefore(1.0)] = 1.0
+    first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
     batch_size: Count = 100
     actor_value: ActorValue = "min"

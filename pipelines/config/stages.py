@@ -1,6 +1,6 @@
 """The actor, and the settings of the stages of a run that are not the method's."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 from otr.control.settings import CriticPolishSettings, PolishSettings
@@ -77,10 +77,11 @@ class PolishingConfig(PolishSettings):
         """Return what decides a polish by search, as committed polishes are keyed by it."""
         return {name: value for name, value in keyed_settings(self).items() if name not in ("by", "critic")}
 
-    def settings_by_critic(self) -> dict[str, Any]:
-        """Return what decides a polish by critics."""
+    def settings_by_critic(self, *, of_network: bool) -> dict[str, Any]:
+        """Return what decides a polish by critics; a tree has no neurons."""
         common = ("numbers", "free", "n_selection_episodes", "n_candidates", "environments")
-        return {"by": "critic", **{name: getattr(self, name) for name in common}, **keyed_settings(self.critic)}
+        critic = self.critic if of_network else replace(self.critic, first_neurons=0)
+        return {"by": "critic", **{name: getattr(self, name) for name in common}, **keyed_settings(critic)}
 
 
 _LIMIT = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf)"

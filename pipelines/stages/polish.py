@@ -337,7 +337,7 @@ def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
     """Return what decides a polish; its inputs, made from the actor that has the critics, decide these."""
     keyed = _BY_SEARCH(settings)
     if polishes_by(settings) == "critic":
-        keyed["polishing"] = settings.polishing.settings_by_critic()
+        keyed["polishing"] = settings.polishing.settings_by_critic(of_network=settings.polishes_network)
     return keyed
 
 

@@ -2,16 +2,19 @@
 
 Critics, targets and temperature are taken over, Adam's moments are not. The replay buffer is not kept either: the
 oracle's stochastic play fills a new one in seconds, of which the policy itself may act in a share, as in DAgger.
+
+A few neurons often settle in a slow gait, many rarely. So a small network is widened first, and narrowed as it learns.
 """
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from otr.control.critic_polish.neurons import can_widen, narrowed, widened
 from otr.control.critic_polish.policy_actor import OraclePlay, PolicyActor, check_critics, is_clipped
 from otr.control.environments import VectorEnv
 from otr.control.sac.actors import ModuleActors
@@ -24,6 +27,7 @@ from otr.control.sac.sac import N_CRITICS, FleetSac, Shapes
 from otr.control.search.policy_numbers import Policy, policy_numbers
 from otr.control.search.polish import SETTINGS, Episodes, Evaluate, PolishReport, best_confirmed
 from otr.control.settings import CriticPolishSettings, PolishSettings
+from otr.control.soft_trees.policy_module import policy_module
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Layered, Oracle
 from otr.core.tree import ObliqueTree
@@ -32,6 +36,9 @@ from otr.learners.networks.denormals import denormals_as_zero
 from otr.setting import check_settings
 
 TEMPERATURE = 0.05  # at first, of critics that came without one (TD3, DDPG)
+NARROWING = (0.2, 0.6)  # of the steps, between which a widened network loses neurons
+N_LATEST = 5_000  # states that say which
+LEARNING_RATE_END = 0.1  # of a widened network's learning rates, to which they fall linearly
 LEARNING = CriticPolishSettings()
 
 Act = Callable[[Tensor, Tensor], Tensor]  # from states (1, 1, d) and normal noise (1, 1, n_actions) to actions
@@ -111,6 +118,7 @@ class CriticPolish:
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
         self._low, self._high = limits
+        self._is_widened = can_widen(policy, settings.first_neurons, free=free)
         self._layout = RowLayout(policy.n_inputs, len(self._low))
         rows = np.zeros((settings.refill_steps + settings.steps, self._layout.width), dtype=np.float32)
         self._replay = FleetReplay([rows], self._layout, len(rows))
@@ -119,10 +127,15 @@ class CriticPolish:
     def candidates(self, n: int, say: Callable[[str], None]) -> Iterator[tuple[int, Any]]:
         """Fill the replay buffer and learn; yield steps and policy at n regular steps, the last one among them."""
         settings, learner = self._settings, self._filled()
-        chosen = np.linspace(0, settings.steps, n + 1).round().astype(int).tolist()
+        widths = self._widths()  # by the step from which they hold
+        first = max(widths, default=0)  # as wide as the policy from then on
+        chosen = np.linspace(first, settings.steps, n + 1).round().astype(int).tolist()
+        rates = np.interp(np.arange(settings.steps), [first, settings.steps], [1, LEARNING_RATE_END if widths else 1])
         streams = Streams(self._seeds[1:2], 1, settings.batch_size, self._layout.n_actions)
         self._restart(self._seeds[2])
-        for start, end in itertools.pairwise(chosen):
+        for start, end in itertools.pairwise(sorted({0, *widths, *chosen})):
+            if start in widths:
+                self._narrow(learner, widths[start])
             with denormals_as_zero(), torch.no_grad():
                 for t in range(start, end):
                     ahead = t % streams.n_steps_ahead
@@ -130,15 +143,13 @@ class CriticPolish:
                         draws = streams.draw(streams.n_steps_ahead)
                         counts = settings.refill_steps + t + 1 + torch.arange(streams.n_steps_ahead)
                         positions = self._replay.positions(draws.fractions, counts)
-                    done = t / settings.steps
-                    noise = settings.noise * (1 - done * (1 - settings.noise_end))
-                    self._step(learner.act, draws.policy[:, ahead], noise * draws.exploration[:, ahead])
-                    learner.at_step(t, 1 - done * (1 - settings.learning_rate_end))
+                    self._step(learner.act, draws.policy[:, ahead], settings.noise * draws.exploration[:, ahead])
+                    learner.at_step(t, rates[t])
                     learner.update(self._replay.gather(positions[:, ahead]), draws.updates[:, ahead])
             if not all(bool(torch.isfinite(each).all()) for each in learner.tensors(0).values()):
                 say(f"numbers are no longer finite after {end:,} steps, which ends the polish")
                 return
-            if end > start:
+            if end in chosen and end > first:
                 yield end, self._actor.policy.policy()
 
     def _filled(self) -> FleetSac:
@@ -171,7 +182,11 @@ class CriticPolish:
         """Return the learner of a policy that reads what states (n, d) have visited."""
         settings, critics = self._settings, self._critics
         log_stds = None if self._oracle is None else self._oracle.log_stds(states)
-        self._actor = PolicyActor(self._policy, states, log_stds, free=self._free, tied=self._tied)
+        policy = self._policy
+        if self._is_widened:
+            rng = np.random.default_rng(self._seeds[1])
+            policy = widened(cast(ReluNetwork, policy), settings.first_neurons, states, rng)
+        self._actor = PolicyActor(policy, states, log_stds, free=self._free, tied=self._tied)
         runs = [RunSettings(settings.learning_rate, critics.gamma)]
         shapes = Shapes(
             self._layout.n_inputs, self._layout.n_actions, (), critics.widths, settings.batch_size,
@@ -184,6 +199,24 @@ class CriticPolish:
         given = critics.log_temperature
         learner.log_temperature[0] = np.log(TEMPERATURE) if given is None else given
         return learner
+
+    def _widths(self) -> dict[int, int]:
+        """Return, by step, to how many neurons a widened network is narrowed there; the last ones take longest."""
+        if not self._is_widened:
+            return {}
+        settings, (n_own,) = self._settings, cast(ReluNetwork, self._policy).hidden_widths
+        widths = np.arange(settings.first_neurons, n_own - 1, -1)
+        done = (1 / widths - 1 / widths[0]) / (1 / n_own - 1 / widths[0])
+        begin, end = NARROWING
+        steps = ((begin + (end - begin) * done) * settings.steps).round().astype(int)
+        return dict(zip(steps[1:].tolist(), widths[1:].tolist(), strict=True))
+
+    def _narrow(self, learner: FleetSac, n_neurons: int) -> None:
+        """Go on with fewer neurons, those that the others can do least without in the latest states."""
+        states = self._replay_states()[-N_LATEST:]
+        policy = narrowed(cast(ReluNetwork, self._actor.policy.policy()), n_neurons, states)
+        self._actor.policy = policy_module(policy, states, free=self._free)
+        learner.actor = ModuleActors(learner.runs, [self._actor])
 
     def _replay_states(self) -> np.ndarray:
         """Return the states in the replay buffer, (n, d)."""

@@ -19,7 +19,7 @@ from otr.core.smooth_network import SmoothNetwork
 from otr.importers.critics import Critics
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])
-SHORT = CriticPolishSettings(60, 100, batch_size=32)
+SHORT = CriticPolishSettings(60, 100, batch_size=32, first_neurons=6)
 torch.set_num_threads(1)
 
 
@@ -152,8 +152,9 @@ def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(kin
         policy = otr.ObliqueTree([~0], [~1], [[0.0, 1.0, 0.3]], [0.1], M, [[0.0], [0.4]], head=head)
     oracle = None if kind == "alone" else network(otr.TanhBox(LOW, HIGH), (8,))
     found = list(learning(policy, oracle).candidates(3, print))
-    assert [step for step, _ in found] == [20, 40, 60]
+    assert [step for step, _ in found] == ([44, 52, 60] if kind == "network" else [20, 40, 60])
     for _, candidate in found:
+        assert getattr(candidate, "hidden_widths", None) == getattr(policy, "hidden_widths", None)
         assert type(candidate) is type(policy) and candidate.head == head
         if isinstance(policy, otr.ObliqueTree):
             ours, theirs = candidate.leaf_forms, policy.leaf_forms
@@ -167,21 +168,13 @@ def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(kin
         np.testing.assert_array_equal(one.predict(X), other.predict(X))
 
 
-def test_noise_and_learning_rate_fall_while_the_policy_learns(monkeypatch):
-    settings = CriticPolishSettings(400, 100, batch_size=8, noise=0.2, noise_end=0.0, learning_rate_end=0.5)
-    made = learning(network(otr.TanhBox(LOW, HIGH)), None, settings=settings)
-    added, shares, step = [], [], made._step
+def test_learning_rates_fall_once_a_widened_network_is_as_narrow_as_before(monkeypatch):
+    shares = []
     monkeypatch.setattr(FleetSac, "at_step", lambda _, __, share: shares.append(share))
-
-    def kept(act, noise, exploration):
-        added.append(float(exploration))
-        step(act, noise, exploration)
-
-    monkeypatch.setattr(made, "_step", kept)
-    list(made.candidates(2, print))
-    each = np.array(added[100:]) / (0.2 * (1 - np.arange(400) / 400))
-    assert len(each) == 400 and all(0.85 < part.std() < 1.15 for part in np.split(each, 2))
-    np.testing.assert_allclose(shares, np.linspace(1.0, 0.5, 401)[:-1])
+    for n_neurons in (6, 0):
+        settings = CriticPolishSettings(400, 100, batch_size=8, first_neurons=n_neurons)
+        list(learning(network(otr.TanhBox(LOW, HIGH)), None, settings=settings).candidates(2, print))
+    np.testing.assert_allclose(shares, [*np.ones(240), *np.linspace(1.0, 0.1, 161)[:-1], *np.ones(400)])
 
 
 def test_normalised_critics_and_their_mean_reach_the_learner():
@@ -196,8 +189,27 @@ def test_normalised_critics_and_their_mean_reach_the_learner():
     assert not any(np.array_equal(plain, other) for other in others)
 
 
+def test_a_network_of_fewer_neurons_is_widened_and_loses_them_one_by_one(monkeypatch):
+    narrow, seen = CriticPolish._narrow, []
+    made = learning(network(otr.TanhBox(LOW, HIGH)), settings=dataclasses.replace(SHORT, first_neurons=8))
+
+    def noted(self, learner, n_neurons):
+        before = self._actor.policy.policy().n_hidden
+        narrow(self, learner, n_neurons)
+        seen.append((self._n_rows - SHORT.refill_steps, before, n_neurons))
+
+    monkeypatch.setattr(CriticPolish, "_narrow", noted)
+    assert {candidate.n_hidden for _, candidate in made.candidates(3, print)} == {4}
+    steps = [step for step, _, _ in seen]
+    assert [widths for _, *widths in seen] == [[8, 7], [7, 6], [6, 5], [5, 4]]
+    assert steps == sorted(set(steps)) and 12 < steps[0] < steps[-1] == 36
+    seen.clear()
+    made = learning(network(otr.TanhBox(LOW, HIGH)), settings=dataclasses.replace(SHORT, first_neurons=0))
+    assert [step for step, _ in made.candidates(3, print)] == [20, 40, 60] and not seen
+
+
 def test_learning_that_diverges_ends_and_leaves_what_came_before():
-    settings = CriticPolishSettings(60, 100, batch_size=32, learning_rate=10.0)
+    settings = CriticPolishSettings(60, 100, batch_size=32, learning_rate=10.0, first_neurons=0)
     critics = new_critics(layers=[(np.full((2, 4, 16), 1e20), np.zeros((2, 1, 16))), new_critics().layers[1]])
     made = learning(network(otr.TanhBox(LOW, HIGH)), None, critics, settings)
     said = []

@@ -80,7 +80,7 @@ def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its
     summary = read_json(made / "summary.json")
     curves = load_curves([made])
     imitated = 300 + summary["imitate"]["n_steps"]
-    assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
+    assert curves["spent"].tolist() == [imitated, imitated + 216, imitated + 220] and set(curves["unit"]) == {STEPS}
     assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]
     monkeypatch.setenv("OTR_RESULTS_DIR", str(folder / "results"))
     times = summary["polish"]["candidate_seconds"]
@@ -197,7 +197,10 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     searched = dataclasses.replace(by_critic, polishing=PolishingConfig(by="critic", n_directions=20, steps=3))
     assert polish_keys(searched) == polish_keys(by_critic) and "actor_value" not in polish_keys(by_critic)["polishing"]
     mean = CriticPolishSettings(actor_value="mean")
-    assert PolishingConfig(critic=mean).settings_by_critic()["actor_value"] == "mean"
+    assert PolishingConfig(critic=mean).settings_by_critic(of_network=False)["actor_value"] == "mean"
+    wide = PolishingConfig(by="critic", critic=CriticPolishSettings(first_neurons=40))  # a tree has no neurons
+    assert polish_keys(dataclasses.replace(by_critic, polishing=wide)) == polish_keys(by_critic)
+    assert wide.settings_by_critic(of_network=True)["first_neurons"] == 40
     assert stages_of("ndps")["polish"].inputs == ("prune",)
     assert 240 < estimated_seconds(by_critic) < 600
 

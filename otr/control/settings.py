@@ -262,8 +262,8 @@ class CriticPolishSettings:
         refill_noise: standard deviation of what is added to actions in [-1, 1] while the buffer is filled.
         noise: the same from then on.
         learning_rate: of Adam, for the policy and the critics.
-        first_neurons: of a network of one hidden layer that has fewer, at first; the least useful go one by one,
-            and learning rates fall.
+        first_neurons: of a network of one hidden layer that has fewer, at first; the least useful go one by one, and
+            learning rates fall. 0 for no more than it has.
         batch_size: transitions an update.
         actor_value: what the policy climbs, the critics' "min" or their "mean".
     """
@@ -274,6 +274,6 @@ class CriticPolishSettings:
     refill_noise: NotNegative = 0.1
     noise: NotNegative = 0.1
     learning_rate: LearningRate = 1e-3
-    first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
+    first_neurons: Annotated[CountOrZero, AsBefore(0)] = 0
     batch_size: Count = 100
     actor_value: ActorValue = "min"

@@ -80,7 +80,7 @@ def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its
     summary = read_json(made / "summary.json")
     curves = load_curves([made])
     imitated = 300 + summary["imitate"]["n_steps"]
-    assert curves["spent"].tolist() == [imitated, imitated + 216, imitated + 220] and set(curves["unit"]) == {STEPS}
+    assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
     assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]
     monkeypatch.setenv("OTR_RESULTS_DIR", str(folder / "results"))
     times = summary["polish"]["candidate_seconds"]

@@ -156,9 +156,9 @@ def test_an_oracle_of_ones_own_is_not_searched():
 
 def test_a_recipe_may_be_of_a_depth():
     (job,) = RUN.jobs(RUN.expand(["env=halfcheetah"], multirun=False))
-    assert job.folder == "runs/halfcheetah/otr/depth-6/standard-fleet/seed-0"
-    (job,) = RUN.jobs(RUN.expand(["env=halfcheetah", "depth=32"], multirun=False))
-    assert job.folder == "runs/halfcheetah/distilled_otr/depth-32/standard-shrink/seed-0"
+    assert job.folder == "runs/halfcheetah/distilled_otr/depth-6/standard-shrink/seed-0"
+    (linear,) = RUN.jobs(RUN.expand(["env=halfcheetah", "depth=0"], multirun=False))
+    assert linear.folder == "runs/halfcheetah/otr/depth-0/standard-fleet/seed-0"
     assert job.oracle.folder == "runs/halfcheetah/otr/depth-256-256/standard-fleet/seed-0"
 
 

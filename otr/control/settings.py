@@ -274,6 +274,6 @@ class CriticPolishSettings:
     refill_noise: NotNegative = 0.1
     noise: NotNegative = 0.1
     learning_rate: LearningRate = 1e-3
-    first_neurons: Annotated[CountOrZero, AsBefore(0)] = 0
+    first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
     batch_size: Count = 100
     actor_value: ActorValue = "min"

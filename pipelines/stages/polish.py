@@ -191,17 +191,22 @@ class _Account:
         self.n_steps = 0
 
     def announce(self, report: PolishReport) -> None:
-        """Keep what is reported, and print it every few seconds."""
+        """Keep what is reported; print it every few seconds, and what came out."""
+        is_last = bool(self._reports) and report.candidates == self._reports[-1].candidates
         self._reports.append(report)
         self._seconds.append(round(time.process_time() - self._began, 3))
-        if time.monotonic() - self._announced >= ANNOUNCE_S:
-            self._announced = time.monotonic()
-            (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
-            print(
-                f"{self._purpose}: iteration {iteration} of {report.n_iterations}, return {now:.1f} on the selection "
-                f"episodes, {before:.1f} before",
-                flush=True,
-            )
+        (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
+        if report.confirmation is not None:
+            before, now = report.confirmation
+            result = f"the best {'is kept' if report.kept else 'is not kept'}, return {now:.1f} on other episodes"
+        elif is_last:
+            result = "nothing is kept, no candidate has a higher return on the selection episodes"
+        elif time.monotonic() - self._announced >= ANNOUNCE_S:
+            result = f"iteration {iteration:,} of {report.n_iterations:,}, return {now:.1f} on the selection episodes"
+        else:
+            return
+        self._announced = time.monotonic()
+        print(f"{self._purpose}: {result}, {before:.1f} before", flush=True)
 
     @property
     def candidate_seconds(self) -> list[float]:

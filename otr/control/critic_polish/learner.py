@@ -73,7 +73,7 @@ def polish_by_critics(
         settings: of the learning.
         learns_first: whether candidates play once all have learnt, as where `evaluate` plays in `envs`, too.
         evaluate, n_selection_episodes, n_candidates, free, tied, seed, report: as in `otr.polish`.
-        say: called where numbers that are not finite end the learning early.
+        say: called with the progress until candidates play, and where numbers that are not finite end the learning.
 
     Raises:
         TypeError, ValueError: as `check_critics`, or a setting is out of range.
@@ -151,6 +151,9 @@ class CriticPolish:
                 return
             if end in chosen and end > first:
                 yield end, self._actor.policy.policy()
+            elif 10 * end // settings.steps > 10 * start // settings.steps:
+                n_neurons = cast(ReluNetwork, self._actor.policy.policy()).n_hidden
+                say(f"{end:,} of {settings.steps:,} steps, {n_neurons} neurons")
 
     def _filled(self) -> FleetSac:
         """Fill the replay buffer, and return the learner; the policy's part of it comes last."""

@@ -190,7 +190,7 @@ def test_normalised_critics_and_their_mean_reach_the_learner():
 
 
 def test_a_network_of_fewer_neurons_is_widened_and_loses_them_one_by_one(monkeypatch):
-    narrow, seen = CriticPolish._narrow, []
+    narrow, seen, said = CriticPolish._narrow, [], []
     made = learning(network(otr.TanhBox(LOW, HIGH)), settings=dataclasses.replace(SHORT, first_neurons=8))
 
     def noted(self, learner, n_neurons):
@@ -199,7 +199,8 @@ def test_a_network_of_fewer_neurons_is_widened_and_loses_them_one_by_one(monkeyp
         seen.append((self._n_rows - SHORT.refill_steps, before, n_neurons))
 
     monkeypatch.setattr(CriticPolish, "_narrow", noted)
-    assert {candidate.n_hidden for _, candidate in made.candidates(3, print)} == {4}
+    assert {candidate.n_hidden for _, candidate in made.candidates(3, said.append)} == {4}
+    assert said[0] == "15 of 60 steps, 8 neurons" and said[-1] == "36 of 60 steps, 5 neurons"
     steps = [step for step, _, _ in seen]
     assert [widths for _, *widths in seen] == [[8, 7], [7, 6], [6, 5], [5, 4]]
     assert steps == sorted(set(steps)) and 12 < steps[0] < steps[-1] == 36

@@ -62,6 +62,8 @@ def test_oracle_student_and_polish_come_of_one_command(shrunk, monkeypatch):
     assert episodes in (12, 20) and report["n_steps"] == 200 + 20 + 200 * episodes
     assert summary["steps"] == 300 and summary["total_steps"] == 300 + summary["imitate"]["n_steps"] + 220
     assert "learnt by critics in 20 steps after 200 of play" in printed
+    is_kept = report["confirmation_return"] is not None
+    assert f"polish: {'the best is' if is_kept else 'nothing is kept, no candidate'}" in printed
     imitation = summary["imitate"]["n_steps"]
     all_steps = f"{520 + imitation:,} steps of the environment in all: 300 of the oracle, {imitation:,} of the"
     assert f"{all_steps} imitation, 220 of the actor" in " ".join(printed.split())
@@ -80,7 +82,7 @@ def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its
     summary = read_json(made / "summary.json")
     curves = load_curves([made])
     imitated = 300 + summary["imitate"]["n_steps"]
-    assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
+    assert curves["spent"].tolist() == [imitated, imitated + 216, imitated + 220] and set(curves["unit"]) == {STEPS}
     assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]
     monkeypatch.setenv("OTR_RESULTS_DIR", str(folder / "results"))
     times = summary["polish"]["candidate_seconds"]

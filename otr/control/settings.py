@@ -264,6 +264,7 @@ class CriticPolishSettings:
         learning_rate: of Adam, for the policy and the critics.
         first_neurons: of a network of one hidden layer that has fewer, at first; the least useful go one by one, and
             learning rates fall. 0 for no more than it has.
+        bounds_values: whether critics learn towards no more than the highest discounted sum of rewards that was played.
         batch_size: transitions an update.
         actor_value: what the policy climbs, the critics' "min" or their "mean".
     """
@@ -275,5 +276,6 @@ class CriticPolishSettings:
     noise: NotNegative = 0.1
     learning_rate: LearningRate = 1e-3
     first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
+    bounds_values: Annotated[bool, AsBefore(False)] = True
     batch_size: Count = 100
     actor_value: ActorValue = "min"

@@ -7,6 +7,7 @@ A few neurons often settle in a slow gait, many rarely. So a small network is wi
 """
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
@@ -123,6 +124,7 @@ class CriticPolish:
         rows = np.zeros((settings.refill_steps + settings.steps, self._layout.width), dtype=np.float32)
         self._replay = FleetReplay([rows], self._layout, len(rows))
         self._n_rows, self._states = 0, torch.zeros(1, 1, policy.n_inputs)
+        self._discounted, self._highest = 0.0, -math.inf  # rewards of the episode up to now, and the most that were met
 
     def candidates(self, n: int, say: Callable[[str], None]) -> Iterator[tuple[int, Any]]:
         """Fill the replay buffer and learn; yield steps and policy at n regular steps, the last one among them."""
@@ -145,6 +147,8 @@ class CriticPolish:
                         positions = self._replay.positions(draws.fractions, counts)
                     self._step(learner.act, draws.policy[:, ahead], settings.noise * draws.exploration[:, ahead])
                     learner.at_step(t, rates[t])
+                    if settings.bounds_values:
+                        learner.highest_value.fill_(self._highest)
                     learner.update(self._replay.gather(positions[:, ahead]), draws.updates[:, ahead])
             if not all(bool(torch.isfinite(each).all()) for each in learner.tensors(0).values()):
                 say(f"numbers are no longer finite after {end:,} steps, which ends the polish")
@@ -227,6 +231,7 @@ class CriticPolish:
         return self._replay.gather(positions).states[0].double().numpy()
 
     def _restart(self, seed: int) -> None:
+        self._discounted = 0.0
         self._states = torch.from_numpy(self._env.reset([seed])).view(1, 1, -1)
 
     def _original(self, states: Tensor) -> Tensor:
@@ -244,6 +249,10 @@ class CriticPolish:
         self._replay.add(self._n_rows, torch.cat([self._states, scaled, *parts], dim=2))
         self._n_rows += 1
         self._states = torch.from_numpy(step.states).view(1, 1, -1)
+        self._discounted = self._critics.gamma * self._discounted + float(step.rewards[0])
+        self._highest = max(self._highest, self._discounted)
+        if step.terminated[0] or step.truncated[0]:
+            self._discounted = 0.0
 
 
 def _take_over(ours: Layers, theirs: list[tuple[np.ndarray, np.ndarray]]) -> None:

@@ -92,6 +92,7 @@ class FleetSac:
             return torch.tensor(values).view(n, 1)
 
         self._gamma = column([run.gamma for run in runs])
+        self.highest_value = column([math.inf for _ in runs])  # of what the critics learn towards
         self._automatic = torch.tensor([float(run.temperature is None) for run in runs])
         self._actor_inputs = new_stack(n, 2 * rows, shapes.n_inputs)
         self._critic_inputs = new_stack(N_CRITICS * n, rows, critic_widths[0])
@@ -197,7 +198,7 @@ class FleetSac:
         target_inputs[..., :d] = batch.next_states.unsqueeze(1)
         target_inputs[..., d:] = next_actions.unsqueeze(1)
         values = self._values(self.targets, self._target_inputs).amin(1) - costs
-        goal = batch.rewards + batch.continues * self._gamma * values
+        goal = torch.minimum(batch.rewards + batch.continues * self._gamma * values, self.highest_value)
         critic_inputs[..., :d] = batch.states.unsqueeze(1)
         critic_inputs[..., d:] = batch.actions.unsqueeze(1)
         torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=d_critics[..., 0])

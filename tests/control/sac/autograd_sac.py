@@ -3,6 +3,8 @@
 The oracle of the hand-written gradients of `otr.control.sac.sac`; it computes in torch's default type.
 """
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -41,7 +43,7 @@ def linears(network: nn.Module) -> list[nn.Linear]:
 class AutogradSac:
     """The learner of run 0 of a fleet, with that run's parameters and settings."""
 
-    def __init__(self, fleet: FleetSac) -> None:
+    def __init__(self, fleet: FleetSac, highest_value: float = math.inf) -> None:
         self.shapes, run, tensors = fleet.shapes, fleet.runs[0], fleet.tensors(0)
 
         def network(name: str, row: int) -> nn.Sequential:
@@ -62,7 +64,7 @@ class AutogradSac:
         self.of_critics = torch.optim.Adam(self.critics.parameters(), critic_rate, weight_decay=decay)
         self.of_actor = torch.optim.Adam(self.actor.parameters(), rate, weight_decay=decay)
         self.of_temperature = torch.optim.Adam([self.log_temperature], rate)
-        self.n_updates, self.rate_share = 0, 1.0
+        self.n_updates, self.rate_share, self.highest_value = 0, 1.0, highest_value
 
     def act(self, states: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         mean, log_std = self.actor(states).chunk(2, dim=1)
@@ -74,15 +76,15 @@ class AutogradSac:
     def values(self, critics: nn.ModuleList, states: Tensor, actions: Tensor) -> Tensor:
         return torch.cat([critic(torch.cat([states, actions], 1)) for critic in critics], 1)
 
-    def update(self, batch: Minibatch, noise: Tensor) -> None:
-        """Do one update with the transitions of run 0; the gradients stay in the parameters."""
+    def update(self, batch: Minibatch, noise: Tensor) -> Tensor:
+        """Do one update with run 0's transitions, and return the critics' goal; gradients stay in the parameters."""
         states, actions, rewards, next_states, continues = (part[0] for part in vars(batch).values())
         noise, next_noise = noise[0].chunk(2)
         temperature = self.log_temperature.detach().exp()
         with torch.no_grad():
             next_actions, next_log_probability = self.act(next_states, next_noise)
             value = self.values(self.targets, next_states, next_actions).amin(1) - temperature * next_log_probability
-            goal = rewards + continues * self.gamma * value
+            goal = (rewards + continues * self.gamma * value).clamp(max=self.highest_value)
         policy_actions, log_probability = self.act(states, noise)  # of the actor before its step
         inputs = torch.cat([states, actions], 1)
         self.step(self.of_critics, sum(0.5 * ((c(inputs)[:, 0] - goal) ** 2).mean() for c in self.critics))
@@ -97,6 +99,7 @@ class AutogradSac:
         with torch.no_grad():
             for target, parameter in zip(self.targets.parameters(), self.critics.parameters(), strict=True):
                 target.lerp_(parameter, self.shapes.tau)
+        return goal
 
     def step(self, optimiser: torch.optim.Optimizer, loss: Tensor) -> None:
         parameters = optimiser.param_groups[0]["params"]

@@ -4,6 +4,7 @@ Both are compared in float64: in float32 fifty updates multiply a rounding error
 processor to another, and no bound would tell that from a mistake.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -125,6 +126,12 @@ def test_options_are_those_of_autograd(option: str) -> None:
     assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, **of_run), falling=True)
 
 
+def test_critics_learn_towards_no_more_than_the_highest_value() -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (64, 48), BATCH)
+    goals = assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98), highest_value=0.5)
+    assert 0.1 < float((goals == 0.5).double().mean()) < 0.9
+
+
 @pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
 def test_normalised_layers_have_the_derivatives_of_autograd(dense: bool) -> None:
     with float64():
@@ -149,18 +156,21 @@ def test_normalised_layers_have_the_derivatives_of_autograd(dense: bool) -> None
                 assert_equal_numbers(d_inputs[i], read.grad[:4, 2:])
 
 
-def assert_learns_as_autograd(shapes: Shapes, settings: RunSettings, falling: bool = False) -> None:
-    """Check the gradients of twenty updates, and what they lead to."""
-    generator = torch.Generator().manual_seed(4)
+def assert_learns_as_autograd(
+    shapes: Shapes, settings: RunSettings, falling: bool = False, highest_value: float = math.inf
+) -> Tensor:
+    """Check the gradients of twenty updates, and what they lead to; return what the critics learnt towards."""
+    generator, goals = torch.Generator().manual_seed(4), []
     with float64():
         fleet = new_fleet(shapes, [0], [settings])
-        oracle = AutogradSac(fleet)
+        fleet.highest_value.fill_(highest_value)
+        oracle = AutogradSac(fleet, highest_value)
         for n_done in range(20):
             batch, noise = stacked([draw_batch(generator)])
             oracle.rate_share = 1 - falling * n_done / 20
             fleet.at_step(n_done, oracle.rate_share)
             fleet.update(batch, noise)
-            oracle.update(batch, noise)
+            goals.append(oracle.update(batch, noise))
             assert_gradients(fleet.critic_gradients, list(oracle.critics))
             if fleet.n_updates >= shapes.actor_delay:
                 assert_gradients(fleet.actor.gradients, [oracle.actor])
@@ -171,6 +181,7 @@ def assert_learns_as_autograd(shapes: Shapes, settings: RunSettings, falling: bo
     for row in (0, 1):
         assert_equal_numbers(learnt["targets.weight1"][row], linears(oracle.targets[row])[1].weight.detach().T)
     assert_equal_numbers(learnt["actor.weight0"][0], linears(oracle.actor)[0].weight.detach().T)
+    return torch.cat(goals)
 
 
 def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:

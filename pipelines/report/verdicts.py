@@ -1,6 +1,7 @@
 """The verdicts of docs/findings.md: on which control tasks a tree returns more than linear policies, by one rule.
 
-`python -m pipelines.report.verdicts` writes each task's between the page's two marks for it.
+`python -m pipelines.report.verdicts` writes each task's, and the table of shrinking, between
+the page's marks for it.
 """
 
 import re
@@ -11,6 +12,7 @@ import pandas as pd
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES, table_runs, with_pruned_trees
 from pipelines.report.frames import load_runs
 from pipelines.report.headline import spread
+from pipelines.report.shrunk import shrunk_table
 from pipelines.report.statistics import difference_interval, probability_of_improvement
 
 CELL = ["method", "depth", "budget", "trainer"]
@@ -21,7 +23,7 @@ BLOCK = re.compile(r"(?s)(<!-- (?!end)(\w+) -->\n).*?(?=<!-- end -->)")
 
 
 def verdicts(results_dir: Path) -> dict[str, str]:
-    """Return `all` and each task's verdict and table as Markdown: the cells with the highest means, of any budget."""
+    """Return `all`, `shrunk` and each task's table as Markdown: the cells with the highest means, of any budget."""
     every = load_runs(results_dir)
     runs = with_pruned_trees(table_runs(every, FORMS), every)
     found, answers_of = {}, []
@@ -38,7 +40,7 @@ def verdicts(results_dir: Path) -> dict[str, str]:
         verdict = f"Higher than linear policies: a small OTR **{answers[0]}**, the best tree **{answers[1]}**."
         found[task] = f"{verdict}\n\n{_table(lines)}"
     head = [["higher than linear policies?", "a small OTR", "any tree"], ["---"] * 3]
-    return found | {"all": _table(head + answers_of)}
+    return found | {"all": _table(head + answers_of), "shrunk": shrunk_table(results_dir)}
 
 
 def _table(lines: list[list[str]]) -> str:

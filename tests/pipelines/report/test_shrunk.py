@@ -1,0 +1,31 @@
+"""The table of shrinking: what stands beside a polished policy, read again from its runs."""
+
+import statistics
+
+from pipelines.engine.store import read_csv, read_json
+from pipelines.report.shrunk import shrunk_table
+from tests.committed import RESULTS
+
+
+def test_a_line_has_the_means_of_its_runs_and_of_those_they_are_compared_with():
+    runs = RESULTS / "runs/halfcheetah"
+    summaries = [read_json(runs / f"distilled_otr/depth-32/standard-shrink/seed-{s}/summary.json") for s in (3, 4, 5)]
+    nothing = [read_json(runs / f"otr/depth-32/standard-fleet/seed-{s}/summary.json")["return_mean"] for s in range(3)]
+    kinds = [[each["policies"][form]["return_mean"] for each in summaries] for form in ("oracle", "pruned_tree")]
+    kinds += [[each["polish"]["return_mean"] for each in summaries], nothing]
+    oracle = sum(
+        float(row["seconds"])
+        for s in (3, 4, 5)
+        for row in read_csv(runs / f"otr/depth-256-256/standard-fleet/seed-{s}/train/progress.csv")
+    )
+    after = sum(each["seconds"]["imitate"] + each["polish"]["cpu_seconds"] for each in summaries)
+    expected = [
+        "HalfCheetah, OTR (32)", "3",
+        *(f"{statistics.mean(each):,.0f} ± {statistics.stdev(each):,.0f}" for each in kinds),
+        "10,307.9", f"{statistics.mean(each['total_steps'] for each in summaries) / 1e6:.2f}M",
+        f"{oracle / 180:.0f} + {after / 180:.0f}",
+    ]  # fmt: skip
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in shrunk_table(RESULTS).splitlines()]
+    assert expected in lines
+    (ndps,) = (line for line in lines if line[0] == "HalfCheetah, NDPS (6)")
+    assert ndps[5] == "-"

@@ -217,7 +217,7 @@ def test_critics_learn_towards_no_more_than_the_highest_discounted_rewards_that_
         update(self, batch, noise)
 
     monkeypatch.setattr(FleetSac, "update", noted)
-    settings = CriticPolishSettings(300, 250, batch_size=8, first_neurons=0)  # an episode ends after 200 steps
+    settings = CriticPolishSettings(300, 250, batch_size=8, first_neurons=0, bounds_values=True)  # of 200-step episodes
     made = learning(policy, settings=settings)
     list(made.candidates(1, print))
     best, discounted, expected = -np.inf, 0.0, []

@@ -276,6 +276,6 @@ class CriticPolishSettings:
     noise: NotNegative = 0.1
     learning_rate: LearningRate = 1e-3
     first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
-    bounds_values: Annotated[bool, AsBefore(False)] = False
+    bounds_values: Annotated[bool, AsBefore(False)] = True
     batch_size: Count = 100
     actor_value: ActorValue = "min"

@@ -21,9 +21,10 @@ def runs():
     """Return the runs of one setting, a row each: mean, std (n - 1), min and max over runs of the mean return."""
     keys = ["env", "method", "depth", "budget", "trainer", "settings", "oracle.hidden_widths", "form", "polished by"]
     every = load_runs(RESULTS)
-    by = every["polish.by"].where(every["form"] == "polished")
-    returns = every.assign(**{"polished by": by}).groupby(keys, dropna=False)["return_mean"]
-    return returns.agg(["mean", "std", "min", "max"]).reset_index()
+    own = every.assign(**{"polished by": every["polish.by"].where(every["form"] == "polished")})
+    alike = (keys, [*keys, "polish.by"])  # the second: before the polish, those alone that then were polished
+    returns = [own.groupby(each, dropna=False)["return_mean"].agg(["mean", "std", "min", "max"]) for each in alike]
+    return pd.concat([each.reset_index()[[*keys, *each]] for each in returns])
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 
 from pipelines.cli.runs import RUN
 from pipelines.report import to_run
+from pipelines.report.cells import SHRUNK
 from pipelines.report.to_run import WANTED
 
 
@@ -23,6 +24,13 @@ def test_policies_are_counted_until_five_runs_are_there(monkeypatch: pytest.Monk
     some = pd.concat([rows("otr", "6", 3), rows("otr", "32", 4, "algo.noise=0.1"), rows("linear", "32", 5)])
     assert to_run.to_run(some)[1:] == [["searches", "1 with 3 of 5, 1 with none", "`otr-run env=hopper`"]]
     assert to_run.to_run(pd.concat([rows("otr", "6", 5), rows("otr", "32", 6)]))[1:] == []
+
+
+def test_networks_that_the_recipe_shrinks_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = to_run.Wanted("shrunk", ("hopper",), (SHRUNK,), ("6",), "standard-shrink", "otr-run env={tasks}")
+    monkeypatch.setattr(to_run, "WANTED", (wanted,))
+    some = rows("otr", "6", 3).assign(budget="standard-shrink")
+    assert to_run.to_run(some)[1:] == [["shrunk", "1 with 3 of 5", "`otr-run env=hopper`"]]
 
 
 @pytest.mark.parametrize("wanted", WANTED, ids=lambda wanted: wanted.what)

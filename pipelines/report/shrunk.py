@@ -1,4 +1,4 @@
-"""The table of shrinking in docs/findings.md: polishes by critics beside their oracles, and what both have cost."""
+"""The table of shrinking in docs/findings.md: polishes by critics compared with their oracles, and the cost of both."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def shrunk_table(results_dir: Path) -> str:
     lines = [HEAD]
     for (task, method, depth), runs in in_order(own, POLICY).groupby(POLICY, sort=False):
         forms = every[every["run"].isin(runs["run"])].groupby("form")["return_mean"]
-        beside = (task, FROM_NOTHING.get(method), depth)
+        alike = (task, FROM_NOTHING.get(method), depth)
         theirs = published().get(("4.1", task, "otr" if method == "distilled_otr" else method.replace("_", "-"), depth))
         after = runs["seconds.imitate"] + runs["polish.cpu_seconds"]
         oracle = [_oracle_minutes(results_dir, run) for run in runs["run"]]
@@ -38,7 +38,7 @@ def shrunk_table(results_dir: Path) -> str:
             f"{TASK_NAMES[task]}, {NAMES.get(method, METHOD_NAMES.get(method))} ({depth})",
             str(len(runs)),
             *(_spread(forms.get_group(form)) for form in ("oracle", "pruned_tree", "polished")),
-            _spread(nothing.get_group(beside)) if beside in nothing.groups else "not run" if beside[1] else "-",
+            _spread(nothing.get_group(alike)) if alike in nothing.groups else "not run" if alike[1] else "-",
             f"{float(theirs.mean):,.6g}" if theirs else "-",
             f"{sum(steps_in_all(run) for run in runs.to_dict('records')) / len(runs) / 1e6:.2f}M",
             f"{sum(oracle) / len(oracle):.0f} + {after.mean() / 60:.0f}",

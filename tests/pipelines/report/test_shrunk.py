@@ -1,4 +1,4 @@
-"""The table of shrinking: what stands beside a polished policy, read again from its runs."""
+"""The table of shrinking: what a polished policy is compared with, read again from its runs."""
 
 import statistics
 

@@ -15,6 +15,7 @@ from pipelines.report.text import markdown_table
 HEAD = ["", "runs", "oracle", "imitating", "polished", "from nothing", "thesis", "steps", "minutes: oracle, then"]
 NAMES = {"distilled_otr": "OTR", "distilled_experts": "experts"}
 FROM_NOTHING = {"distilled_otr": "otr", "distilled_experts": "experts"}
+BY = ("standard-fleet", "standard-ars")  # what learns from nothing: SAC and, where it was not run, direct search
 POLICY = ["task", "method", "depth"]
 
 
@@ -26,11 +27,12 @@ def shrunk_table(results_dir: Path) -> str:
     every = load_runs(results_dir)
     every = every[(every["env"] == every["task"]) & (every["settings"] == "")]
     own = every[(every["form"] == "polished") & every["polish.by"].eq("critic").fillna(False)]
-    nothing = every[(every["form"] == "tree") & (every["budget"] == "standard-fleet")].groupby(POLICY)["return_mean"]
+    nothing = every[every["form"] == "tree"].groupby([*POLICY, "budget"])["return_mean"]
     lines = [HEAD]
     for (task, method, depth), runs in in_order(own, POLICY).groupby(POLICY, sort=False):
         forms = every[every["run"].isin(runs["run"])].groupby("form")["return_mean"]
-        alike = (task, FROM_NOTHING.get(method), depth)
+        alike = FROM_NOTHING.get(method)
+        by = next((by for by in BY if (task, alike, depth, by) in nothing.groups), None)
         theirs = published().get(("4.1", task, "otr" if method == "distilled_otr" else method.replace("_", "-"), depth))
         after = runs["seconds.imitate"] + runs["polish.cpu_seconds"]
         oracle = [_oracle_minutes(results_dir, run) for run in runs["run"]]
@@ -38,7 +40,7 @@ def shrunk_table(results_dir: Path) -> str:
             f"{TASK_NAMES[task]}, {NAMES.get(method, METHOD_NAMES.get(method))} ({depth})",
             str(len(runs)),
             *(_spread(forms.get_group(form)) for form in ("oracle", "pruned_tree", "polished")),
-            _spread(nothing.get_group(alike)) if alike in nothing.groups else "not run" if alike[1] else "-",
+            _spread(nothing.get_group((task, alike, depth, by))) if by else "not run" if alike else "-",
             f"{float(theirs.mean):,.6g}" if theirs else "-",
             f"{sum(steps_in_all(run) for run in runs.to_dict('records')) / len(runs) / 1e6:.2f}M",
             f"{sum(oracle) / len(oracle):.0f} + {after.mean() / 60:.0f}",

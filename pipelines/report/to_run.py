@@ -37,7 +37,7 @@ WANTED = (
     Wanted("imitators of SAC's oracles", ("walker2d", "hopper", "swimmer"), RIVALS[:3], ("6",), "standard-fleet",
            f"otr-run -m env={{tasks}} method=viper,lm_viper,ndps {FIVE} algo=sac trainer=fleet"),
     Wanted("longer searches of the walker", ("walker2d",), ("otr",), ("6", "32"), "standard-ars",
-           'otr-run -m env={tasks} depth=6,32 "seed=range(8,13)" budget.search.walker2d.steps=30_000_000 '
+           'otr-run -m env={tasks} method=otr depth=6,32 "seed=range(8,13)" budget.search.walker2d.steps=30_000_000 '
            "budget.search.walker2d.eval_interval_steps=500_000 budget.search.walker2d.n_selection_episodes=50 "
            "algo.noise_end=0.1 algo.step_size_end=0.05",
            "algo.noise_end=0.1, algo.step_size_end=0.05, train.eval_interval_steps=500000, "

@@ -29,3 +29,10 @@ def test_a_line_has_the_means_of_its_runs_and_of_those_they_are_compared_with():
     assert expected in lines
     (ndps,) = (line for line in lines if line[0] == "HalfCheetah, NDPS (6)")
     assert ndps[5] == "-"
+
+
+def test_where_sac_was_not_run_from_nothing_is_by_search():
+    place = RESULTS / "runs/walker2d/otr/depth-6/standard-ars"
+    searched = [read_json(place / f"seed-{seed}/summary.json")["return_mean"] for seed in range(5, 10)]
+    (line,) = (line for line in shrunk_table(RESULTS).splitlines() if line.startswith("| Walker2d, OTR (6)"))
+    assert line.split("|")[6].strip() == f"{statistics.mean(searched):,.0f} ± {statistics.stdev(searched):,.0f}"

@@ -75,9 +75,9 @@ block = packer.compress(bytes(2**20)) + packer.flush(zlib.Z_FULL_FLUSH)  # stand
 stream = 2**10 * block + packer.flush()
 file = io.BytesIO()
 with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-    archive.writestr("a", b"12345")
+    archive.writestr(zipfile.ZipInfo("a", (2026, 11, 30, 12, 12, 0)), b"12345", zipfile.ZIP_DEFLATED)
 content = file.getvalue()
-name, start = content.index(b"a"), content.index(b"a") + 1
+start = 30 + len("a")  # of what is packed: after a header of 30 bytes, which may hold any byte, and the name
 directory = content.index(b"PK\\1\\2")
 crc = zlib.crc32(bytes(5)) if sys.argv[1] == "right" else 1
 sizes = struct.pack("<III", crc, len(stream), 5)

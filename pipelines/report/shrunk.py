@@ -31,8 +31,8 @@ def shrunk_table(results_dir: Path) -> str:
     lines = [HEAD]
     for (task, method, depth), runs in in_order(own, POLICY).groupby(POLICY, sort=False):
         forms = every[every["run"].isin(runs["run"])].groupby("form")["return_mean"]
-        alike = FROM_NOTHING.get(method)
-        by = next((by for by in BY if (task, alike, depth, by) in nothing.groups), None)
+        alone = FROM_NOTHING.get(method)  # the method that makes such a policy without an oracle
+        by = next((by for by in BY if (task, alone, depth, by) in nothing.groups), None)
         theirs = published().get(("4.1", task, "otr" if method == "distilled_otr" else method.replace("_", "-"), depth))
         after = runs["seconds.imitate"] + runs["polish.cpu_seconds"]
         oracle = [_oracle_minutes(results_dir, run) for run in runs["run"]]
@@ -40,7 +40,7 @@ def shrunk_table(results_dir: Path) -> str:
             f"{TASK_NAMES[task]}, {NAMES.get(method, METHOD_NAMES.get(method))} ({depth})",
             str(len(runs)),
             *(_spread(forms.get_group(form)) for form in ("oracle", "pruned_tree", "polished")),
-            _spread(nothing.get_group((task, alike, depth, by))) if by else "not run" if alike else "-",
+            _spread(nothing.get_group((task, alone, depth, by))) if by else "not run" if alone else "-",
             f"{float(theirs.mean):,.6g}" if theirs else "-",
             f"{sum(steps_in_all(run) for run in runs.to_dict('records')) / len(runs) / 1e6:.2f}M",
             f"{sum(oracle) / len(oracle):.0f} + {after.mean() / 60:.0f}",

@@ -53,8 +53,9 @@ def certify_fixed_point(
         fixed: the tree.
         network: the policy; a tree must be the one that was rounded, and is compared except near its tests.
         box: bounded.
-        max_error: refuse a larger error of the coefficients, in outputs before the head; `otr.certify` then searches
-            the network's regions, which takes long. None takes the bound that few cells give.
+        max_error: refuse a larger error of the coefficients, in outputs before the head; the network's regions are
+            then searched, which takes long. None takes the bound that few cells give; of labels, of cells that bound it
+            about as well as the rounding of inputs allows.
         max_regions, max_seconds: as for `otr.certify`.
 
     Raises:
@@ -79,11 +80,15 @@ def certify_fixed_point(
         allowed = ANY_ERROR if max_error is None else max_error
         if fixed.labels is None:
             inner = certify(fixed.to_tree(), policy, wider, max_error=allowed, max_regions=max_regions)
-        elif (inner := certificate_of_leads(fixed.to_tree(), policy, wider)).max_error > allowed:
-            raise CertificateError(
-                f"the tree's label is proved where the network's lead is above {inner.max_error:.6g}, and max_error is "
-                f"{max_error:.6g}: give more bits"
-            )
+        else:
+            # What the roundings of inputs add in any case is no reason to search for less.
+            enough = max_error or float(max(_of_inputs(fixed, policy, domain, wider)))
+            inner = certificate_of_leads(fixed.to_tree(), policy, wider, enough, max_regions)
+            if inner.max_error > allowed:
+                raise CertificateError(
+                    f"the tree's label is proved where the network's lead is above {inner.max_error:.6g}, and "
+                    f"max_error is {max_error:.6g}: give more bits"
+                )
     return _completed(fixed, policy, domain, inner)
 
 
@@ -119,7 +124,7 @@ def _completed(
         assert inner is not None
         # Of labels that tests decide the certificate's error is a lead.
         coefficients = [Fraction(inner.max_error) * (max(n_compared, 1) if gives_labels else 1)] * o
-        inputs = largest_changes(policy, inner.domain, input_roundings(fixed, box), _differences(o, gives_labels))
+        inputs = _of_inputs(fixed, policy, box, inner.domain)
     outputs, table, slopes = output_roundings(fixed), table_errors(fixed), head_slopes(fixed)
     if gives_labels:
         parts = [[max(coefficients)], [max(inputs)], [n_compared * max(outputs)], [Fraction(0)]]
@@ -138,6 +143,12 @@ def _completed(
         inner,
         margins,
     )
+
+
+def _of_inputs(fixed: FixedPointTree, network: ReluNetwork, box: Domain, wider: Domain) -> list[Fraction]:
+    """Return by how much the roundings of inputs change each output or, of labels, each difference of two."""
+    differences = _differences(fixed.n_outputs, fixed.head.gives_labels)
+    return largest_changes(network, wider, input_roundings(fixed, box), differences)
 
 
 def _differences(n_outputs: int, gives_labels: bool) -> IntArray:

@@ -1,53 +1,84 @@
 """Certificates of rounded trees with labels: by how much a network may prefer another label than its leaf's.
 
-`otr.certify` bounds how far states are from where the network has the label. A lead is about outputs: a leaf takes one
-cell, with the outcomes of the network's tests at an inner point and such that the label wins. Rounded tests move the
-region's sides, so some states are beyond: the proofs bound by how much each test is on the wrong side, at most, so no
-search is needed among the slivers along its sides.
+`otr.certify` bounds how far states are from where the network has the label. A lead is about outputs: a cell has the
+outcomes of the network's neurons at an inner point, and such of the head's tests that the label wins. Rounded tests
+move a region's sides, so some states are beyond: the proofs bound by how much each test is on the wrong side, at most,
+so no search is needed among the slivers along its sides. A leaf takes one cell or, where several regions of the network
+lie in it and that bound is large, one for each.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from itertools import chain
 
 import numpy as np
 
 from otr.clock import check_time
-from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.arrays import BoolArray, FloatArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
+from otr.geometry.arrangement import Walk
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.rational import Integers
 from otr.geometry.regions import chunks_of_leaves, leaf_rows
 from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import as_sum, decide_in
 from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork
-from otr.proof.float_cells import with_smallest_bounds
+from otr.proof.float_cells import start_of_walk, with_smallest_bounds
 from otr.proof.verify import Checker, bits
 
 ANY_ERROR = 1e300  # that no proof has
+TINY = 1e-100
+# By how much of what is enough a side of a neuron, and of a test of the head, may count that is left out, in this order
+THIN = ((0.5, 1.0), (0.1, 1.0), (0.0, 1.0), (0.5, 8.0), (0.5, 64.0))
 
 
-def certificate_of_leads(tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> Certificate:
-    """Return a certificate whose error is what `LeadChecker` bounds, of a tree with labels."""
+def certificate_of_leads(
+    tree: ObliqueTree, network: ReluNetwork, domain: Domain, enough: float, max_regions: int
+) -> Certificate:
+    """Return a certificate whose error is what `LeadChecker` bounds, of a tree with labels.
+
+    A leaf with a larger error than `enough` in one cell is divided into at most `max_regions` of the network's regions.
+    """
     pair, cells = TreeAndNetwork(tree, network, domain), list[Cell]()
+    checker, walk = LeadChecker(pair), Walk(network, network.unit_form(), domain, max_regions)
     for leaves in chunks_of_leaves(tree, domain):
         rows, signs = leaf_rows(tree, domain, leaves)
         balls = largest_balls(rows, np.arange(len(leaves)), signs)
         centres = np.clip(domain.unscaled(balls.centres), domain.low, domain.high)
-        outcomes = _outcomes(network, tree.labels[leaves], centres)  # type: ignore[index]
-        for leaf, radius, of_leaf in zip(leaves.tolist(), balls.radii.tolist(), outcomes, strict=True):
+        found: dict[int, list[Cell]] = {}
+        for leaf, radius, x, pattern in zip(
+            leaves.tolist(), balls.radii.tolist(), centres, network.patterns(centres), strict=True
+        ):
             check_time()
             point = decide_in(pair, pair.rows_of_leaf(leaf)) if radius == 0 else ()
             if isinstance(point, tuple):
-                text = "".join("1" if bit else "0" for bit in of_leaf)
-                cells.append(with_smallest_bounds(pair, Cell(leaf, text, (), (Sum((), ()),) * pair.n_tests))[0])
+                found[leaf] = [_cell(pair, leaf, x, pattern)]
             else:
-                cells.append(Cell(leaf, "", (), empty=as_sum(point)))
-    found = Certificate(domain, ANY_ERROR, tree.n_leaves, tree.n_leaves * (1 + pair.n_tests), tuple(cells))
-    return replace(found, max_error=LeadChecker(pair).run(found))
+                found[leaf] = [Cell(leaf, "", (), empty=as_sum(point))]
+        errors = {leaf: checker.error(cell) for leaf, (cell,) in found.items()}
+        start = start_of_walk(leaves, rows, signs, balls)
+        for of_neurons, of_tests in THIN:
+            start = start.take(np.array([errors[leaf] > enough for leaf in start.origin.tolist()], dtype=np.bool_))
+            if not len(start.origin):
+                break
+            walk.thin[: network.n_hidden] = of_neurons * enough / np.maximum(network.gains(), TINY)
+            walk.thin[network.n_hidden :] = of_tests * enough
+            divided: dict[int, list[Cell]] = {leaf: [] for leaf in start.origin.tolist()}
+            for block in walk.run(start):
+                states, sides = domain.unscaled(block.centres), block.signs[:, rows.n_rows :]
+                for leaf, x, outcomes, side in zip(block.origin.tolist(), states, block.outcomes, sides, strict=True):
+                    divided[leaf].append(_cell(pair, leaf, x, outcomes, tuple(np.flatnonzero(side).tolist())))
+            for leaf, of_leaf in divided.items():
+                error = max(map(checker.error, of_leaf))
+                if error < errors[leaf]:
+                    found[leaf], errors[leaf] = of_leaf, error
+        cells += chain(*found.values())
+    whole = Certificate(domain, ANY_ERROR, tree.n_leaves, len(cells) * (1 + pair.n_tests), tuple(cells))
+    return replace(whole, max_error=checker.run(whole))
 
 
 class LeadChecker(Checker):
@@ -60,21 +91,33 @@ class LeadChecker(Checker):
     def _distance(self, cell: Cell, rows: dict[str, ExactRow], turned: list[Integers]) -> Fraction:
         outcomes = bits(cell.outcomes)
         assert self.pair.tree.labels is not None
-        if cell.splits or self.pair.label(outcomes) != self.pair.tree.labels[cell.leaf]:
+        if cell.near or self.pair.label(outcomes) != self.pair.tree.labels[cell.leaf]:
             return INFINITE
-        n = self.pair.network.n_hidden
-        pairs = zip(turned, cell.proofs, strict=True)
-        short = [max(self.shortfall(cell.leaf, test, proof, rows), Fraction(0)) for test, proof in pairs]
+        n, short = self.pair.network.n_hidden, [Fraction(0)] * self.pair.n_tests
+        for test, proof in zip(_without(cell.splits, self.pair.n_tests), cell.proofs, strict=True):
+            short[test] = max(self.shortfall(cell.leaf, turned[test], proof, rows), Fraction(0))
         errors = self._output_errors(short[:n])
         up, down = max(errors[::2]), max(errors[1::2])
         return sum(short[n:], Fraction(0)) + (up + down if len(errors) > 2 else max(up, down))
 
 
-def _outcomes(network: ReluNetwork, labels: IntArray, centres: FloatArray) -> BoolArray:
-    """Return outcomes of the network's tests (n, n_tests): neurons as at the centres, and such that the labels win."""
-    patterns, outputs = network.patterns_and_outputs(centres)
+def _cell(pair: TreeAndNetwork, leaf: int, x: FloatArray, outcomes: BoolArray, splits: tuple[int, ...] = ()) -> Cell:
+    """Return a leaf's cell of outcomes of the neurons, and of the head's tests such that the leaf's label wins at x.
+
+    Of tests that split the leaf the outcomes are those given.
+    """
+    network, labels = pair.network, pair.tree.labels
+    assert labels is not None
+    outputs, label, n = network.forward(x), int(labels[leaf]), network.n_hidden
     if network.n_outputs == 1:  # Sign
-        outputs = np.where(labels, 1.0, -1.0)[:, None]
+        outputs = np.array([1.0 if label else -1.0])
     else:
-        outputs[np.arange(len(labels)), labels] = outputs.max(axis=1) + 1 + np.abs(outputs).max(axis=1)
-    return np.concatenate((patterns, network.head.tests(outputs)), axis=1)
+        outputs[label] = outputs.max() + 1 + np.abs(outputs).max()
+    all_outcomes = np.append(outcomes[:n], network.head.tests(outputs[None])[0])
+    all_outcomes[list(splits)] = outcomes[list(splits)]
+    text = "".join("1" if outcome else "0" for outcome in all_outcomes)
+    return with_smallest_bounds(pair, Cell(leaf, text, splits, (Sum((), ()),) * (pair.n_tests - len(splits))))[0]
+
+
+def _without(splits: tuple[int, ...], n_tests: int) -> list[int]:
+    return [test for test in range(n_tests) if test not in splits]

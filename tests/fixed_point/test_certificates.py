@@ -1,5 +1,7 @@
 """What is proved of trees in fixed point holds at every state that is tried, and what is not so is refused."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import product
 
@@ -75,14 +77,14 @@ def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n
     rng, head = np.random.default_rng(seed), "argmax" if n_outputs > 1 else "sign"
     network = make_network(rng, layers, n_inputs=2, n_outputs=n_outputs, head=head)
     rounded = otr.to_fixed_point(otr.map_network(network), BOX, 5).to_tree()
-    proof = certificate_of_leads(rounded, network, otr.Domain([BOX[0]] * 2, [BOX[1]] * 2))
+    proof = certificate_of_leads(rounded, network, otr.Domain([BOX[0]] * 2, [BOX[1]] * 2), 0.1, 2**16)
     X = rng.uniform(*BOX, (50_000, 2))
     scores, labels = network.forward(X), rounded.predict(X)
     scores = np.column_stack((0 * scores, scores)) if n_outputs == 1 else scores
     seen = (scores.max(axis=1) - scores[np.arange(len(X)), labels]).max()
     assert 0 < seen <= proof.max_error < 2 * seen
     with pytest.raises(otr.TimeLimitError), time_limit(0.0, lambda: ""):
-        certificate_of_leads(rounded, network, proof.domain)
+        certificate_of_leads(rounded, network, proof.domain, 0.1, 2**16)
     checker = LeadChecker(TreeAndNetwork(rounded, network, proof.domain))
     assert checker.run(proof) == proof.max_error
     with pytest.raises(otr.CertificateError, match="may differ by"):
@@ -90,6 +92,25 @@ def test_no_output_leads_over_that_of_the_label_by_more_than_is_proved(layers, n
     cells = [replace(cell, outcomes=cell.outcomes.translate(str.maketrans("01", "10"))) for cell in proof.cells]
     with pytest.raises(otr.CertificateError, match="may differ by"):
         checker.run(replace(proof, cells=tuple(cells)))
+
+
+@pytest.mark.parametrize(("n_outputs", "seed"), [(2, 0), (3, 4), (4, 3)])
+def test_a_leaf_of_several_regions_of_the_network_takes_a_cell_for_each(n_outputs, seed):
+    network = make_network(np.random.default_rng(seed), (6,), n_inputs=2, n_outputs=n_outputs, head="argmax")
+    tree = otr.minimal_tree(network, BOX)
+    fixed = otr.to_fixed_point(tree, BOX, 16)
+    proof = otr.certify_fixed_point(fixed, network, BOX)
+    assert otr.verify(proof, fixed, network) == proof.max_error < 0.01
+    cells = proof.certificate.cells
+    assert len(cells) > tree.n_leaves
+    assert_holds(fixed, network, proof, states_of(network, seed))
+    split = next(i for i, cell in enumerate(cells) if cell.splits)
+    checker = LeadChecker(TreeAndNetwork(fixed.to_tree(), network, proof.certificate.domain))
+    with pytest.raises(otr.CertificateError, match="its cells do not cover it"):
+        checker.run(replace(proof.certificate, cells=cells[:split] + cells[split + 1 :]))
+    with pytest.raises(otr.CertificateError, match="give more bits"):
+        otr.certify_fixed_point(otr.to_fixed_point(tree, BOX, 5), network, BOX, max_error=1e-6)
+    assert otr.shortest_fixed_point(tree, network, BOX, 0.01)[0].bits < 16
 
 
 NETWORK = make_network(np.random.default_rng(3), (3,), n_inputs=3, head="clip_box")
@@ -176,6 +197,17 @@ def test_a_smaller_error_is_searched_for(tmp_path):
     assert loaded == tight and otr.verify(loaded, fixed, network) == tight.max_error
     with pytest.raises(otr.CertificateError, match="at the state"):
         otr.certify_fixed_point(fixed, network, BOX, max_error=0.3 * loose.certificate.max_error)
+
+
+def test_a_new_process_checks_what_was_saved(tmp_path):
+    tree = otr.map_network(make_network(np.random.default_rng(2), (3,), n_inputs=2, head="clip_box"))
+    fixed = otr.to_fixed_point(tree, BOX, 12)
+    otr.certify_fixed_point(fixed, tree, BOX).save(tmp_path / "proof.json")
+    for saved, name in ((fixed, "fixed"), (tree, "tree")):
+        otr.save(saved, tmp_path / name)
+    code = "import otr; print(otr.verify(otr.load_certificate('proof.json'), otr.load('fixed'), otr.load('tree')))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and float(done.stdout) > 0, done.stderr
 
 
 def test_words_of_inputs_have_the_lengths_with_which_the_least_is_proved():

@@ -64,7 +64,8 @@ def with_its_names(folder: Path) -> Path:
 
 def run_command(folder: Path) -> str | None:
     """Return the otr-run command that makes a run's folder, as far as its path shows it; None where it does not."""
-    if len(folder.parts) < 5:
+    results_dir = results_of(folder)
+    if results_dir is None:
         return None
     env, method, depth, budget, seed = folder.parts[-5:]
     if not (re.fullmatch(r"depth-[\d-]+", depth) and re.fullmatch(r"seed-\d+(~[0-9a-f]+)?", seed)):
@@ -77,12 +78,13 @@ def run_command(folder: Path) -> str | None:
     number, _, digest = seed.removeprefix("seed-").partition("~")
     overrides.append(f"seed={number}")
     settings = " and the settings that made the digest ~" + digest if digest else ""
-    return f"{command_text('otr-run', overrides, results_of(folder))}{settings}"
+    return f"{command_text('otr-run', overrides, results_dir)}{settings}"
 
 
-def results_of(folder: Path) -> Path:
-    """Return the folder of results that a run's folder is in."""
-    return folder.absolute().parents[4].parent
+def results_of(folder: Path) -> Path | None:
+    """Return the folder of results that a run's folder is in, by `runs` above its five names; None if it was moved."""
+    parents = folder.absolute().parents
+    return parents[5] if len(parents) > 5 and parents[4].name == "runs" else None
 
 
 def command_of(folder: Path, stage: str) -> str:
@@ -94,8 +96,9 @@ def command_of(folder: Path, stage: str) -> str:
     recorded = read_manifest(folder / stage)["command"] if exists(folder / stage / MANIFEST) else ""
     if command and "~" not in folder.name and (CONF_DIR / "env" / f"{folder.parts[-5]}.yaml").is_file():
         return command
-    if recorded.startswith("otr-run "):
-        return " ".join([recorded, *map(shlex.quote, place_of(results_of(folder)))])  # it names no results_dir itself
+    if recorded.startswith("otr-run "):  # it names no results_dir itself
+        results_dir = results_of(folder)
+        return " ".join([recorded, *map(shlex.quote, place_of(results_dir) if results_dir else ())])
     return command or "the command that made the run"
 
 

@@ -58,11 +58,12 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     if not exists(path):
         report = folder / "certify" / "report.json"
         reason = read_json(report).get("reason") if exists(report) and not config.certificate else None
+        command = command_of(folder, run.method.actor_stage)
+        command += "" if "certify=true" in command.split() else " certify=true"
         raise MissingInputError(
             f"{path} is not there: the run has no certificate"
-            + (f", as stage certify gave up: {reason}" if reason else
-               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained again.")
-        )  # fmt: skip
+            + (f", as stage certify gave up: {reason}" if reason else f"\nRun: {command}\nNothing is trained again.")
+        )
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
         if isinstance(certificate, otr.FixedPointCertificate):

@@ -125,8 +125,10 @@ def policy_data(
 
 def command_for(program: str, folder: Path, form: str, *words: str) -> str:
     """Return the command that gives a run's tree to one of the programs, with further words."""
-    run = Path(*folder.parts[-5:]).as_posix()
-    return command_text(program, [f"run={run}", f"tree={form}", *words], results_of(folder))
+    results_dir, words = results_of(folder), (f"tree={form}", *words)
+    if results_dir is None:
+        return command_text(program, [f"run={folder}", *words])
+    return command_text(program, [f"run={Path(*folder.parts[-5:]).as_posix()}", *words], results_dir)
 
 
 def _numbers(tree: otr.ObliqueTree) -> dict[str, NDArray[np.float64]]:

@@ -79,7 +79,8 @@ def verdict(
     """
     summary = read_summary(folder) | ({"certify": certificate} if certificate else {})
     own, numbers = returns_of(summary, form), n_numbers(tree)
-    known = best_known(results_of(folder), run.env.name)
+    results_dir = results_of(folder)
+    known = best_known(results_dir, run.env.name) if results_dir else {}
     widths = summary.get("oracle", {}).get("hidden_widths")
     oracle = returns_of(summary, "oracle", f"{network_in_words(widths)}, which this tree imitates") or known.get(
         "oracle"

@@ -176,6 +176,17 @@ def test_a_run_with_a_digest_is_told_the_command_that_made_it(export, tmp_path):
     assert f"not finished there\nRun: otr-run env=lunarlander model=a.zip {place} simplify=true" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["moved", "a/b/c/d/e/moved"])
+def test_a_run_that_was_moved_is_exported_and_its_command_names_no_folder_of_results(export, command, tmp_path, name):
+    run = tmp_path / name
+    copy_run(LANDER, run)
+    shutil.rmtree(run / "certify")
+    assert export(f"run={run}", "format=text").returncode == 0
+    for done in (export(f"run={run}", "format=c", "tree=simplified"), command("verify", f"run={run}")):
+        assert done.returncode == 1 and "Run: otr-run " in done.stderr and "results_dir" not in done.stderr
+        assert "IndexError" not in done.stderr and done.stderr.count("certify=true") <= 1, done.stderr
+
+
 @pytest.mark.parametrize(
     ("folder", "command"),
     [

@@ -48,7 +48,7 @@ def is_of_launching(override: str) -> bool:
 
 def asked(arguments: argparse.Namespace) -> list[str]:
     """Return the overrides of a command, those of boxes and files as Hydra reads them."""
-    return [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
+    return [with_path_quoted(box_spelt_out(with_home(override))) for override in arguments.overrides]
 
 
 def without_environment(arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
@@ -80,6 +80,14 @@ def quoted(value: str) -> str:
     """Return a string as the value of a Hydra override."""
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
     return value if re.fullmatch("[A-Za-z0-9/._-]+", value) else f"'{escaped}'"
+
+
+def with_home(override: str) -> str:
+    """Return `key=~/PATH`, or several, with the home folder spelt out, as not every shell does after a `=`."""
+    key, equals, value = override.partition("=")
+    if not value.startswith("~/"):
+        return override
+    return key + equals + ",".join(str(Path(path).expanduser()) for path in value.split(","))
 
 
 def with_path_quoted(override: str) -> str:

@@ -1,11 +1,12 @@
 """Overrides as text: what a sweep of them makes, and how values are quoted."""
 
+import argparse
 from dataclasses import dataclass, field
 
 import pytest
 
 from pipelines.cli.compose import USAGE_ERRORS, message_of
-from pipelines.cli.overrides import combinations, parse, quoted, with_path_quoted
+from pipelines.cli.overrides import asked, combinations, parse, quoted, with_path_quoted
 from pipelines.cli.settings import settings_of
 from pipelines.config.setting import FreeText, Positive
 from pipelines.errors import ConfigError
@@ -43,6 +44,13 @@ def test_paths_are_quoted_and_nothing_else():
     assert with_path_quoted("program=runs/s~1/p.txt,q r") == "program='runs/s~1/p.txt','q r'"
     assert with_path_quoted("model=ü.zip") == "model='ü.zip'"  # a letter, but none of Hydra's
     assert with_path_quoted("results_dir=my runs") == "results_dir='my runs'"
+
+
+def test_the_home_folder_is_spelt_out(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    words = ["out=~/a.txt", "model=~/my a.zip,~/b.zip", "results_dir=~/runs", "name=~x", "program=s~1/p.txt"]
+    there = ["out=/home/me/a.txt", "model='/home/me/my a.zip',/home/me/b.zip", "results_dir=/home/me/runs"]
+    assert asked(argparse.Namespace(overrides=words)) == [*there, "name=~x", "program='s~1/p.txt'"]
 
 
 @dataclass(frozen=True)

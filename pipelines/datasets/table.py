@@ -14,6 +14,7 @@ PARQUET = (".parquet", ".pq")
 SUFFIXES = (".csv", ".tsv", ".txt", ".csv.gz", *PARQUET)
 MOST_VALUES = 64  # of a category
 LEAST_ROWS = 20  # of which two are for validation and two for the test
+DECIMAL = r"[+-]?\d*,?\d+([eE][+-]?\d+)?"
 DATE = r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?"
 
 
@@ -75,7 +76,10 @@ def _read(path: Path) -> pd.DataFrame:
             frame = pd.read_parquet(path)
         else:
             head = pd.read_csv(path, sep="\0", nrows=0, engine="python", encoding="utf-8-sig").columns[0]
-            frame = pd.read_csv(path, sep=max(",;\t", key=head.count), encoding="utf-8-sig", na_values=["?"])
+            separator = max(",;\t", key=head.count)
+            frame = pd.read_csv(path, sep=separator, encoding="utf-8-sig", na_values=["?"])
+            if separator != ",":
+                frame = frame.apply(_without_decimal_commas)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file") from error
     except ImportError as error:
@@ -84,6 +88,14 @@ def _read(path: Path) -> pd.DataFrame:
         raise ConfigError(f"{path} cannot be read as a table with a header: {error}") from error
     frame.columns = frame.columns.map(str)
     return frame
+
+
+def _without_decimal_commas(column: pd.Series) -> pd.Series:
+    """Return a column of texts as numbers where all are such with a decimal comma."""
+    texts = column.dropna()
+    if pd.api.types.is_numeric_dtype(column) or texts.empty or not texts.astype(str).str.fullmatch(DECIMAL).all():
+        return column
+    return texts.str.replace(",", ".").astype(np.float64).reindex(column.index)
 
 
 def _task_of(target: pd.Series) -> TaskKind:

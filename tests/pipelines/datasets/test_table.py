@@ -63,6 +63,16 @@ def test_a_new_row_is_encoded_as_the_training_rows_were(tmp_path, name):
         columns.encode(rows.assign(size="big"))
 
 
+def test_decimal_commas_are_numbers_where_semicolons_part_the_columns(tmp_path):
+    made = frame().drop(columns="town").assign(size=np.linspace(-3, 3, 200))
+    made.to_csv(tmp_path / "points.csv", index=False)
+    made.to_csv(tmp_path / "commas.csv", index=False, sep=";", decimal=",")
+    points, commas = (load_table(tmp_path / f"{name}.csv", "price", drop=["grade"]) for name in ("points", "commas"))
+    assert commas.feature_names == points.feature_names
+    for part in ("train", "test"):
+        assert (commas.part(part).X == points.part(part).X).all() and (commas.part(part).Y == points.part(part).Y).all()
+
+
 def test_rows_that_are_held_out_decide_nothing(tmp_path):
     """Whatever stands in the validation and test rows, columns and training features are the same."""
     made = frame()

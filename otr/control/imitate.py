@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import fields
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -248,7 +249,10 @@ def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, 
     """
     kind = next(kind for kind in METHODS.values() if isinstance(settings, kind))
     options: dict[str, Any] = {field.name: getattr(settings, field.name) for field in fields(kind)}
-    widths = (depth,) if isinstance(depth, int) else tuple(depth)
+    widths = tuple(depth) if isinstance(depth, Sequence) else (depth,)
+    least = 0 if kind is StudentSettings else 1
+    if not all(isinstance(width, Integral) and width >= least for width in widths):
+        raise ValueError(f"depth={depth}, expected a whole number from {least} on")
     if len(widths) != 1 and kind is not StudentSettings:
         raise ValueError(f"depth={depth}, expected a number; several widths are for method='distilled_otr'")
 

@@ -203,6 +203,6 @@ def disk_errors_explained(job: Job) -> Iterator[None]:
         remedy = "Make room there or choose" if full else "Choose"
         raise PipelineError(
             f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
-            f"{remedy} another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
-            "command goes on from them."
+            f"{remedy} another place with results_dir=PATH. Finished stages and checkpoints are kept here: with "
+            "this place writable again, the same command goes on from them."
         ) from error

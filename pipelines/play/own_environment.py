@@ -114,4 +114,7 @@ def check_environment(env: EnvConfig) -> None:
     space, plain = spaces(env), dataclasses.replace(env, pid=None)
     shared = set(feature_names(plain, space.n_inputs)) & set(action_names(plain, space.n_actions))
     if shared:
-        raise ConfigError(f"env.action_names has {min(shared)!r}, which is a feature's name, too: give it another one")
+        raise ConfigError(
+            f"a feature and an action are both named {min(shared)!r}: name the {space.n_actions} actions otherwise, "
+            "with env.action_names=[...]"
+        )

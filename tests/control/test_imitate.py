@@ -146,6 +146,9 @@ def test_what_cannot_be_is_refused():
         otr.imitate(pendulum(), "Pendulum-v1", "cart")
     with pytest.raises(ValueError, match=r"depth=\[2, 2\], expected a number"):
         otr.imitate(pendulum(), "Pendulum-v1", "viper", [2, 2])
+    for depth in (0, -1, 2.5, None, "3"):
+        with pytest.raises(ValueError, match=r"depth=.*, expected a whole number from 1 on"):
+            otr.imitate(pendulum(), "Pendulum-v1", "viper", depth)
     with pytest.raises(TypeError, match="n_leaf"):
         otr.imitate(pendulum(), "Pendulum-v1", "viper", n_leaf=3)
     with pytest.raises(TypeError, match=r"other units; a tree can imitate it: otr\.imitate"):

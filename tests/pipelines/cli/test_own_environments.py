@@ -138,7 +138,10 @@ def test_methods_budgets_and_arguments_of_custom_environments():
         ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
         (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
-        (("env=CartPole-v1", "env.feature_names=[a,b,c,d]", "env.action_names=[e,a]"), "is a feature's name, too"),
+        (
+            ("env=CartPole-v1", "env.feature_names=[a,b,c,d]", "env.action_names=[e,a]"),
+            "a feature and an action are both named 'a'",
+        ),
         ((CART, "depth=0", "env.kwargs.mass=3"), r"env.kwargs has no 'mass' to change; to give it one: \+env.kwargs"),
         (("env=phys2d/CartPole-v1", "+env.kwargs.wheels=3"), "cannot be made"),
         (("env=Pendulum-v1", "+env.kwargs.g=inf"), "env.kwargs.g=inf: expected finite numbers"),

@@ -8,6 +8,7 @@ from otr.core.tree import ObliqueTree
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.foreign import in_our_words
 from otr.programs.language.lowering import Lowering
+from otr.programs.language.meanings import check_statements, check_tokens, is_c
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
 from otr.programs.language.tokens import Source, tokenize
@@ -35,12 +36,16 @@ def parse_program(
     they are tests. Conditions compare (``< <= > >= == !=``, chains as ``0 < x <= 1``) and join with ``and or not``.
     A program answers with ``return``, with a value alone, or at its end with the values of its outputs,
     ``name = value``. A block is what is indented, what is on the line, or what is in braces; ``then``, ``:`` and
-    brackets as in C may follow a condition; ``#`` and ``//`` begin comments. A name that is no word may be put between
-    backquotes, as `to_text` writes it: ``2 `50% quantile` ``; there a backslash and a backquote have a backslash before
-    them, and ``\\u{a}`` is the character of that code.
+    brackets as in C may follow a condition; ``#`` begins a comment, and so does ``//``, except after a value in text
+    without braces and semicolons, where Python divides. A name that is no word may be put between backquotes, as
+    `to_text` writes it: ``2 `50% quantile` ``; there a backslash and a backquote have a backslash before them, and
+    ``\\u{a}`` is the character of that code.
 
     What others print is read, too: a function of C or Python with its inputs as ``x[0]`` and numbers as ``3.0f``, and
-    trees of scikit-learn (`export_text`, `export_graphviz`) and dtControl (C and DOT), with their numbers as printed.
+    trees of scikit-learn (`export_text`, `export_graphviz`) and dtControl (C and DOT), with their numbers as printed,
+    not rounded to float. Text with semicolons and without ``:``, ``then`` or ``end`` is taken for C. What C or Python
+    computes otherwise than this language is refused: in C ``1/2``, ``0 < x < 1``, ``!x <= 0``, a comma, `abs`, and
+    variables and answers of an integer type that are no integers.
 
     Every way through the program is a path of the tree: a statement after an `if` is there once for each way through
     it, and what `max` or `and` decides is a test. All tests are ``P @ x + v <= 0``, with the boundary on the side that
@@ -65,7 +70,7 @@ def parse_program(
         The tree, with the tests in the order in which the program makes them.
 
     Raises:
-        ProgramError: the text is no program; has the line and the column.
+        ProgramError: the text is no program, or means something else in C or Python; has the line and the column.
         TreeTooLargeError: names the line at which there were too many paths.
         TypeError: `text` is no text.
         ValueError: a name is given twice.
@@ -80,9 +85,13 @@ def parse_program(
     if max_leaves < 1:
         raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
     check_names(feature_names, output_names or ())
-    source = Source(in_our_words(text, feature_names, output_names))
+    translation = in_our_words(text, feature_names, output_names)
+    source = Source(translation.text)
     tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
+    of_c = is_c(tokens, translation)
+    check_tokens(source, tokens, of_c)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names, () if labels else output_names or ())
     block = read_program(Cursor(source, tokens), scope)
+    check_statements(source, block, translation, label_names, of_c)
     return Lowering(source, scope, len(feature_names), output_names, labels, max_leaves).tree(block)

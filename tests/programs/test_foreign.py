@@ -120,8 +120,8 @@ def test_scikit_learns_regressors(export, digits, n_outputs):
     [
         'def policy(obs: list) -> float:\n    """What x[9] is."""\n    u = 2 * obs[0]  # and not obs[9]\n'
         "    if obs[1] > 0 and u < 1:\n        return [1.0, 2.5,]\n    return (0.0, -1.0,)\n",
-        "double f(double *s) {\n double u;\n u = 2.f * s[0];\n"
-        " double w = s[1];\n if (w > 0 && u < 1) {return 1, 2.5F;}\n else return 0, -1;}",
+        "void f(double *s, double *out) {\n double u;\n u = 2.f * s[0];\n double w = s[1];\n"
+        " if (w > 0 && u < 1) {out[0] = 1; out[1] = 2.5F;}\n else { out[0] = 0; out[1] = -1; }}",
         "if x[1] > 0:\n    if max(2 x[0], -1e9,) < 1:\n        return 1, 2.5,\nreturn 0, -1,",
         "if `b` > 0 and 2 a < 1 then\n    out[0] = 1\n    out[1] = 2.5\nelse\n    out[0] = 0\n    out[1] = -1",
     ],

@@ -139,7 +139,7 @@ class ExpressionReader:
         if token.word == "not":
             cursor.take()
             with cursor.nested():
-                return Negation(self._condition(self._chain(NOT)), token.at)
+                return Negation(self._negated(token), token.at)
         if token.word in ("-", "+"):
             cursor.take()
             with cursor.nested():
@@ -147,9 +147,21 @@ class ExpressionReader:
             if token.word == "+":
                 return operand
             if isinstance(operand, Number):
-                return Number(-operand.value, token.at)
-            return Chain(Number(-1.0, token.at), [("*", operand, token.at)], token.at)
+                return Number(-operand.value, token.at, operand.is_integer)
+            return Chain(Number(-1.0, token.at, is_integer=True), [("*", operand, token.at)], token.at)
         return self._operand()
+
+    def _negated(self, token: Token) -> BooleanExpression:
+        """Read the operand of a `not`, or of a `!`, which binds as closely as a sign in C."""
+        cursor = self._cursor
+        if cursor.source.lines[token.at.line - 1][token.at.column - 1] != "!":
+            return self._condition(self._chain(NOT))
+        operand = self._chain(SIGN)
+        if cursor.is_next(*COMPARISONS):
+            raise cursor.error(
+                "in C '!' belongs to what is right after it; write !(...) around the comparison", token.at
+            )
+        return self._condition(operand)
 
     def _operand(self) -> Node:
         cursor = self._cursor
@@ -159,7 +171,7 @@ class ExpressionReader:
             value = float(token.text)
             if value == float("inf"):
                 raise cursor.error(f"{token.text} is larger than a float64 can hold", token.at)
-            return Number(value, token.at)
+            return Number(value, token.at, token.text.isdigit())
         if token.kind == "name":
             if cursor.is_after("("):
                 return self._call()

@@ -8,7 +8,8 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Sequence
-from typing import NoReturn
+from dataclasses import dataclass, replace
+from typing import Literal, NoReturn
 
 from otr.errors import ProgramError
 from otr.programs.language.tokens import KEYWORDS, QUOTED, written
@@ -16,8 +17,10 @@ from otr.programs.language.tokens import KEYWORDS, QUOTED, written
 _PYTHON = re.compile(r'(?m)^[ \t]*def\s+\w+\s*\([^)]*\)\s*(?:->[^:\n]*)?:(?:\s*("""|\'\'\')[\s\S]*?\1)?')
 _C = re.compile(r"(?m)^[ \t]*(?:[A-Za-z_]\w*[ \t*]+)+?(\w+)[ \t]*\(([^()]*)\)\s*([{;])")
 _TYPE = r"\b(?:const\s+)?(?:float|double|int)\s+"
+_INTEGER = re.compile(r"\b(?:u?int\w*|long|short|char|signed|unsigned|_?[Bb]ool|size_t)\b(?!.*\bdouble\b)")
 _LEFT_ALONE = rf"{QUOTED}|(?:#|//).*"
-_INDEXED = re.compile(rf"{_LEFT_ALONE}|(?<![\w.])([A-Za-z_]\w*)[ \t]*\[[ \t]*(\d+)[ \t]*\](\s*=(?!=))?")
+_SCOPED = re.compile(rf"{_LEFT_ALONE}|[{{}}]|\b(float|double|int)\s+(\w+)\s*(?:;|=)")
+_INDEXED = re.compile(rf"{_LEFT_ALONE}|(?<![\w.])([A-Za-z_]\w*)[ \t]*\[[ \t]*(0|[1-9]\d*)[ \t]*\](\s*=(?!=))?")
 _FLOAT = re.compile(rf"{_LEFT_ALONE}|(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[fF]\b")
 _TEXT_LINE = re.compile(r"((?:\|   )*)\|--- (.*)")
 _NODE = re.compile(r'\s*"?(\w+)"?\s*\[(.*)\]\s*;?\s*')
@@ -29,27 +32,43 @@ _IN_ANGLES, _IN_QUOTES = r"<(?:[^<>]|<[^<>]*>)*>", r'"(?:[^"\\]|\\.)*"'
 _STATEMENT = re.compile(rf'(?:{_IN_QUOTES}|\[(?:{_IN_QUOTES}|{_IN_ANGLES}|[^\]"<])*\]|[^;\n"\[])+')
 
 
-def in_our_words(text: str, features: Sequence[str], outputs: Sequence[str] | None) -> str:
+@dataclass(frozen=True)
+class Translation:
+    """A program's text in this language's words, and what C or Python says besides its statements."""
+
+    text: str
+    language: Literal["", "C", "Python"] = ""  # of the function that the text is the body of
+    answers: str = ""  # the type of C's function
+    integers: frozenset[str] = frozenset()  # variables of type int
+    outputs: str = ""  # the array whose elements are given values
+
+
+def in_our_words(text: str, features: Sequence[str], outputs: Sequence[str] | None) -> Translation:
     """Return a program's text as `parse_program` reads it, or the text itself where it is that.
 
     ``x[2]`` of any one array is the third feature, as is ``feature_2``, and ``result[0] = 1`` gives the first output
     its value.
 
     Raises:
-        ProgramError: the array has no such place, there are two arrays or functions, or a tree was cut when printed.
+        ProgramError: the array has no such place, there are two arrays or functions, a variable of C's function hides
+            another, an input is an integer, or a tree was cut when printed.
     """
+    translation = Translation(text)
     if re.match(r"\s*(?:strict\s+)?digraph\b", text):
         text = _dot(text, features)
     elif re.match(r"\s*\|--- ", text):
         text = "\n".join(_text_line(line, number, features) for number, line in enumerate(text.split("\n"), start=1))
     else:
-        text = _without_functions(text)
-    if not any(name in ("f", "F") or _FLOAT.search(name) for name in (*features, *(outputs or ()))):
+        translation = _without_functions(text, features)
+        text = translation.text
+    names = (*features, *(outputs or ()), *re.findall(r"\b([fF])\s*:?=(?!=)", text))
+    if not any(name in ("f", "F") or _FLOAT.search(name) for name in names):
         text = _FLOAT.sub(lambda match: match[1] or match[0], text)
-    return _without_indices(text, features, outputs)
+    text, array = _without_indices(text, features, outputs)
+    return replace(translation, text=text, outputs=array)
 
 
-def _without_functions(text: str) -> str:
+def _without_functions(text: str, features: Sequence[str]) -> Translation:
     """Return the body of the one function of C or Python, and spaces for what is around it."""
     whole = text
     bodies = list(_PYTHON.finditer(text))
@@ -57,6 +76,7 @@ def _without_functions(text: str) -> str:
         text = _blanked(text, *match.span())
     found = [each for each in _C.finditer(text) if not KEYWORDS & set(re.findall(r"\w+", each[0].partition("(")[0]))]
     functions = [match for match in found if match[3] == "{"]
+    integers = _integers(text, functions, features) if functions else frozenset()
     if functions:
         text = re.sub(_TYPE + r"\w+\s*;|" + _TYPE + r"(?=\w+\s*=)", "", text)
         found = [each for each in _C.finditer(text) if each[1] in {function[1] for function in functions}]
@@ -65,11 +85,37 @@ def _without_functions(text: str) -> str:
             if match[3] == ";" or is_main:
                 text = _blanked(text, match.start(), match.end() if match[3] == ";" else _closing(text, match))
             else:  # what is in braces may be indented in any way
-                text = f"{text[: match.start()]}if (0 < 1) {{{text[match.end() :]}"
+                lines = "\n" * match[0].count("\n")
+                text = f"{text[: match.start()]}{lines}if (0 < 1) {{{text[match.end() :]}"
         bodies += [match for match in functions if match[1] != "main" or len(functions) == 1]
     if len(bodies) > 1:
         _refuse("a second function; give the text of one alone", whole, bodies[1].start())
-    return text
+    if not functions:
+        return Translation(text, "Python" if bodies else "")
+    answers = re.sub(r"\b(?:const|static|inline|extern)\b|[(].*", "", bodies[0][0].replace("\n", " ")).split()[:-1]
+    return Translation(text, "C", " ".join(answers), integers)
+
+
+def _integers(text: str, functions: list[re.Match[str]], features: Sequence[str]) -> frozenset[str]:
+    """Return the variables of type int; refuse integers as inputs or outputs, and a name that hides another."""
+    for function in functions:
+        for parameter in function[2].split(","):
+            is_read = re.search(r"[*\[]", parameter) or set(re.findall(r"\w+", parameter)[-1:]) & set(features)
+            if _INTEGER.search(parameter) and is_read:
+                _refuse(f"{parameter.strip()} holds integers, to which C rounds; write double", text, function.start())
+    scopes: list[set[str]] = [set()]
+    integers = set()
+    for match in _SCOPED.finditer(text):
+        if match[0] == "{":
+            scopes.append(set())
+        elif match[0] == "}":
+            scopes = scopes[:-1] or [set()]
+        elif match[2]:
+            if any(match[2] in scope for scope in scopes):
+                _refuse(f"a second {match[2]!r} hides the first; give it another name", text, match.start())
+            scopes[-1].add(match[2])
+            integers |= {match[2]} if match[1] == "int" else set()
+    return frozenset(integers)
 
 
 def _closing(text: str, opening: re.Match[str]) -> int:
@@ -86,8 +132,8 @@ def _blanked(text: str, start: int, end: int) -> str:
     return text[:start] + re.sub(r"[^\n]", " ", text[start:end]) + text[end:]
 
 
-def _without_indices(text: str, features: Sequence[str], outputs: Sequence[str] | None) -> str:
-    """Return the text with names in place of ``x[2]``, or ``result[0] =``."""
+def _without_indices(text: str, features: Sequence[str], outputs: Sequence[str] | None) -> tuple[str, str]:
+    """Return the text with names in place of ``x[2]``, or ``result[0] =``, and the array of outputs, "" if none is."""
     arrays: dict[bool, str] = {}
 
     def named(match: re.Match[str]) -> str:
@@ -99,6 +145,10 @@ def _without_indices(text: str, features: Sequence[str], outputs: Sequence[str] 
             return match[0]
         if arrays.setdefault(is_output, array) != array:
             _refuse(f"{element}, where {arrays[is_output]}[...] was an array before; give one", text, match.start())
+        if arrays.get(not is_output) == array:
+            _refuse(
+                f"{element} is both read and given a value; give what is read a name of its own", text, match.start()
+            )
         names = outputs if is_output else features
         if names is None:
             return f"y{index}{match[3]}"
@@ -107,7 +157,8 @@ def _without_indices(text: str, features: Sequence[str], outputs: Sequence[str] 
             _refuse(f"there is no {element}: the {kind} are {len(names)}, from {array}[0] on", text, match.start())
         return written(names[index]) + (match[3] or "")
 
-    return _INDEXED.sub(named, text)
+    text = _INDEXED.sub(named, text)
+    return text, arrays.get(True, "")
 
 
 def _text_line(line: str, number: int, features: Sequence[str]) -> str:

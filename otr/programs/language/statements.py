@@ -81,7 +81,7 @@ class _StatementReader:
             value = self._expressions.expression()
             self._scope.assign(token.text, token.at)
             return Assign(token.text, value, token.at)
-        return Return(self._values(), token.at)
+        return Return(self._values(), token.at, is_bare=True)
 
     def _values(self) -> list[Expression]:
         """Read the values of an answer: one, or several with commas between them, with or without brackets."""
@@ -183,6 +183,12 @@ class _StatementReader:
     def _one(self) -> Steps[Statements]:
         block = Statements()
         yield self._add_to(block)
+        inner, token = block[0], self._cursor.token
+        if isinstance(inner, If) and inner.otherwise is None and token.word in ("else", "elif"):
+            raise self._cursor.error(
+                f"in C this {token.text} belongs to the 'if' of line {inner.at.line}; put braces around one of them",
+                token.at,
+            )
         return block
 
     def _braces(self) -> Steps[Statements]:

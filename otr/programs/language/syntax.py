@@ -14,6 +14,7 @@ class Number:
 
     value: float
     at: Place
+    is_integer: bool = False  # as it is written: 1, not 1.0
 
 
 @dataclass(slots=True)
@@ -105,6 +106,7 @@ class Return:
 
     values: list[Expression]
     at: Place
+    is_bare: bool = False  # without the word
 
 
 @dataclass(slots=True)

@@ -56,10 +56,11 @@ class Token:
 
 
 class Source:
-    """A program's lines, which errors show."""
+    """A program's lines, which errors show, and its comments once it is in tokens."""
 
     def __init__(self, text: str) -> None:
         self.lines = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        self.comments: list[tuple[int, str, Place]] = []  # the number of tokens before each, its text, its place
 
     def error(self, reason: str, at: Place) -> ProgramError:
         """Return the error for a place."""
@@ -115,7 +116,9 @@ def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -
             match = pattern.match(line, column)
             if match is None:
                 raise source.error(f"the character {line[column]!r} has no meaning here", at)
-            if match.lastgroup not in ("space", "comment"):
+            if match.lastgroup == "comment":
+                source.comments.append((len(tokens), match.group(), at))
+            elif match.lastgroup != "space":
                 if not indent:
                     indent = column + 1
                     _check_indentation(source, line[:column], number, indented_by)

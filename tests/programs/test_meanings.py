@@ -49,6 +49,7 @@ class CWriter(Writer):
             return self._random.choice((self.number(), self.name(), self.name()))
         a, b, n = self.value(depth - 1), self.value(depth - 1), self.number()
         forms = (f"{a} + {b}", f"{a} - {b}", f"{n} * {a}", f"({a}) / {n}", f"{n} / {self.number()} * {a}", f"-({a})")
+        forms += (f"fabs({a})", f"fmax({a}, {b})", f"fmin({a}, 1 / 2.0)")
         return self.some(forms, (f"abs({a})", f"{a} - -{n}", f"({n}, {a})", "010", "2u", "++u", "- --n"))
 
     def condition(self, depth: int) -> str:
@@ -175,7 +176,7 @@ REFUSED = [
     ("if (!x[0] <= 0) return 1; else return 2;", 1, "write !(...) around the comparison"),
     ("if (!(x[0]) <= 0) return 1; else return 2;", 1, "write !(...) around the comparison"),
     ("if (x[0] > 0)\n  if (x[1] > 0) return 1;\nelse return 2;\nreturn 3;", 3, "else belongs to the 'if' of line 2"),
-    ("return abs(x[0]);", 1, "abs rounds to an integer in C; write max(u, -u)"),
+    ("return abs(x[0]);", 1, "abs rounds to an integer in C; write fabs"),
     (C_HEAD + "double u = x[0]; return --u; }", 1, "-- changes a variable in C"),
     (C_HEAD + "double u = x[0]; double w = u++ + 1; return u + w; }", 1, "++ changes a variable in C"),
     ("double f(double x, double v) { double u = x; return 2u; }", 1, "2u is one number in C; write it without u"),

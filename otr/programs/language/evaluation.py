@@ -202,6 +202,9 @@ class Evaluator:
             "argmax": self._argmax,
             "clip": self._clip,
             "exp": self._exp,
+            "fabs": self._abs,
+            "fmax": self._extreme,
+            "fmin": self._extreme,
             "max": self._extreme,
             "min": self._extreme,
             "tanh": self._tanh,
@@ -250,7 +253,7 @@ class Evaluator:
         return worth
 
     def _better(self, path: Path, first: Value, second: Value, node: Call) -> Worth:
-        is_max = node.function == "max"
+        is_max = node.function in ("max", "fmax")
         if isinstance(first, Affine) and first.is_constant:
             first, second = second, first
         if isinstance(first, Affine | Clipped) and isinstance(second, Affine) and second.is_constant:

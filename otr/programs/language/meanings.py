@@ -127,7 +127,7 @@ def _other_in_c(part: Part, integers: Collection[str]) -> str:
     if isinstance(part, Comparison) and len(part.signs) > 1:
         return "C compares the 0 or 1 of the first comparison with what follows; write a <= x && x <= b"
     if isinstance(part, Call) and part.function == "abs":
-        return "abs rounds to an integer in C; write max(u, -u)"
+        return "abs rounds to an integer in C; write fabs"
     if isinstance(part, Chain) and _divides_integers(part, integers):
         return "C rounds the quotient of two integers; write one as 2.0, or the value"
     if isinstance(part, Assign) and part.name in integers and not _is_integer_in(part.value, *_INT):
@@ -172,7 +172,7 @@ def _is_integer(value: Expression, integers: Collection[str]) -> bool:
         return value.text in integers
     if isinstance(value, Chain):
         return all(_is_integer(each, integers) for each in (value.first, *(operand for _, operand, _ in value.rest)))
-    return isinstance(value, Call) and all(_is_integer(each, integers) for each in value.arguments)
+    return isinstance(value, Call) and value.function in ("max", "min") and all(_is_integer(each, integers) for each in value.arguments)
 
 
 def _parts(part: Part) -> Iterator[Part]:

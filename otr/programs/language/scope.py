@@ -13,6 +13,9 @@ FUNCTIONS = {
     "argmax": (1, None),
     "clip": (3, 3),
     "exp": (1, 1),
+    "fabs": (1, 1),  # C's names of abs, max and min
+    "fmax": (2, 2),
+    "fmin": (2, 2),
     "max": (1, None),
     "min": (1, None),
     "tanh": (1, 1),

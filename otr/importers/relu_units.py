@@ -98,7 +98,10 @@ def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit |
     """Return the unit that `answer` is, a function of vectors (width,); None for one that is not known."""
     with np.errstate(all="ignore"):
         found = answer(np.zeros(width))
-        tried = [scale * rng.standard_normal(width) for scale in _SCALES for _ in range(1 + 32 // width)]
+        n_each = 1 + 32 // width
+        tried = [scale * rng.standard_normal(width) for scale in _SCALES for _ in range(n_each)]
+        # Numbers of all sizes, as a comparison may choose another function anywhere
+        tried += [rng.standard_normal(width) * 2.0 ** rng.integers(-30, 100, width) for _ in range(n_each)]
         if found.dtype.kind == "i" and found.size == 1:
             ties = [np.zeros(width), np.abs(tried[0]).round(1)]
             is_argmax = all(int(answer(z)[0]) == int(np.argmax(z)) for z in (*tried, *ties))

@@ -1,7 +1,9 @@
 """A model as a graph: nonlinear nodes cut it into sections, and each section is the affine map that it evaluates to.
 
 Every node is run in float64 on one state, whatever operator it is. Where three points with r = 2 p - q show that a
-node's answer is no affine function of what it reads, it is a cut, which `otr.importers.relu_units` recognises.
+node's answer is no affine function of what it reads, it is a cut, which `otr.importers.relu_units` recognises. Both q
+and -q are tried, so that the points of a scale are on both sides of zero, and so are weighted sums of them: at a scale
+beyond its limits, no clip has them all on one side.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ LIMIT_NUMBERS = 2**24  # of a matrix: a product of thin ones can be far larger t
 _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
 _LIMIT_HELD = 2**26  # of all values together, on all points
 _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
-_SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
+_SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 50, 700))  # of the points on which nodes are tried
+_N_POINTS = 5  # of each scale: p, q, -q, 2 p - q, 2 p + q
 # A basis vector of this length swamps what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
 _LENGTH = 2.0**700
 _LIMIT_ROWS = 256  # basis vectors at a time
@@ -115,7 +118,7 @@ class Sections:
 
     def is_real(self, value: str) -> bool:
         """Return whether a value's numbers are real, and no labels."""
-        return value not in self._labels and self._points[value][0].dtype.kind == "f"
+        return self._points[value][0].dtype.kind == "f"
 
     def form(self, value: str) -> Form:
         """Return the affine map of the section that makes a value.
@@ -212,30 +215,46 @@ class Sections:
                 self._hold(np.size(value))
             return
         self._live.append(node)
-        with np.errstate(all="ignore"):
-            made = [self._run(node, {name: self._points[name][k] for name in live}) for k in range(3 * len(_SCALES))]
-        noise = [max(float(np.abs(self._points[name][k]).max(initial=0)) for name in live) for k in range(len(made))]
+        labels = [self._labels[read] for read in live if read in self._labels]
+        made, affine = self._tried(node, live, are_real=not labels)
         for i, name in enumerate(node.outputs):
             if not name or i >= len(made[0]):
                 continue
-            points = [np.asarray(results[i]) for results in made]
-            _require_width(points[0].size)
-            self._hold(len(points) * points[0].size)
-            labels = [self._labels[read] for read in live if read in self._labels]
-            if labels:
+            answers = [results[i] for results in made]
+            is_real = answers[0].dtype.kind == "f"
+            _require_width(answers[0].size)
+            self._hold(_N_POINTS * len(_SCALES) * answers[0].size)
+            if i in affine:
+                if all(np.array_equal(answers[0], other) for other in answers):
+                    self._require_each_state(node, live, i, answers[0])
+                self._points[name] = answers
+                continue
+            if labels and (not is_real or labels[0].unit is not None):  # an ArgMax may be cast to real numbers
                 self._labels[name] = labels[0]
-            is_affine = not labels and _is_affine(points, noise)
-            if is_affine and all(np.array_equal(points[0], other) for other in points):
-                self._require_each_state(node, live, i, points[0])
-            if labels or is_affine:
-                self._points[name] = points
+                self._points[name] = answers[:1] * (_N_POINTS * len(_SCALES))
                 continue
             read, unit = self._unit(node, i)
-            if unit is None and not np.array_equal(
-                points[0], self._run(node, {name: self._points[name][0] for name in live})[i], equal_nan=True
-            ):
-                raise InvalidNetworkError(RANDOM)
-            self._add(Source(name, points[0].shape, node, read, unit, points[0].dtype.kind == "f"), points[0])
+            if unit is None:
+                again = self._run(node, {name: self._points[name][0] for name in live})[i]
+                if not np.array_equal(answers[0], again, equal_nan=is_real):
+                    raise InvalidNetworkError(RANDOM)
+            named = labels[0].node if labels and unit is None else node
+            self._add(Source(name, answers[0].shape, named, read, unit, is_real), answers[0])
+
+    def _tried(self, node: Node, live: list[str], *, are_real: bool) -> tuple[list[list[NDArray[Any]]], set[int]]:
+        """Return a node's answers on the points, and which outputs are affine; the points end where none is."""
+        made: list[list[NDArray[Any]]] = []
+        affine = set(range(len(node.outputs))) if are_real else set()
+        for start in range(0, _N_POINTS * len(_SCALES), _N_POINTS):
+            points = [{name: self._points[name][start + k] for name in live} for k in range(_N_POINTS)]
+            noise = max(float(np.abs(each).max(initial=0)) for point in points for each in point.values())
+            with np.errstate(all="ignore"):
+                tried = [[np.asarray(each) for each in self._run(node, point)] for point in points]
+            affine = {i for i in affine if i < len(tried[0]) and _is_affine([results[i] for results in tried], noise)}
+            made += tried
+            if not affine:
+                break
+        return made, affine
 
     def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
         """Raise InvalidNetworkError where a node answers one state always the same, and two states differently."""
@@ -289,7 +308,7 @@ class Sections:
         points: list[Any] = []
         for scale in _SCALES:
             p, q = (scale * self._rng.standard_normal(source.shape) for _ in "pq")
-            points += [p, q, 2 * p - q] if source.is_real else [made] * 3
+            points += [p, q, -q, 2 * p - q, 2 * p + q] if source.is_real else [made] * _N_POINTS
         self.sources[source.name], self._points[source.name] = source, points
         if not source.is_real:
             self._labels[source.name] = source
@@ -386,14 +405,12 @@ def _require_width(width: int) -> None:
         )
 
 
-def _is_affine(points: list[NDArray[Any]], noise: list[float]) -> bool:
+def _is_affine(points: list[NDArray[Any]], noise: float) -> bool:
     if points[0].dtype.kind != "f":
         return False
-    for k in range(0, len(points), 3):
-        p, q, r = points[k : k + 3]
-        with np.errstate(all="ignore"):
-            size = max(float(np.abs(each).max(initial=0)) for each in (p, q, r))
-            limit = _TOLERANCE * size + _NOISE * max(noise[k : k + 3])
-            if not np.isfinite(size) or not np.all(np.abs(2 * p - q - r) <= limit):
-                return False
-    return True
+    p, q, of_minus_q, below, above = points
+    with np.errstate(all="ignore"):
+        size = max(float(np.abs(each).max(initial=0)) for each in points)
+        errors = np.abs(2 * p - q - below), np.abs(2 * p - of_minus_q - above)
+        limit = _TOLERANCE * size + _NOISE * noise
+        return bool(np.isfinite(size) and all(np.all(error <= limit) for error in errors))

@@ -204,7 +204,7 @@ def test_a_small_file_of_many_wide_values_takes_little_memory() -> None:
     values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 2**17]) for name in "xy"]
     graph = helper.make_graph(nodes, "policy", values[:1], values[1:])
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    with pytest.raises(otr.InvalidNetworkError, match="is where the values of all nodes have 68,812,800 numbers"):
+    with pytest.raises(otr.InvalidNetworkError, match="is where the values of all nodes have 70,778,880 numbers"):
         otr.from_onnx(made)
 
 

@@ -115,7 +115,8 @@ def test_labels(name: str, after: list) -> None:
     [
         ([("Floor", ["x"], "c")], r"node 'c' \(Floor\) is not affine"),
         ([("Exp", ["x"], "e"), ("Sin", ["x"], "s"), ("Add", ["e", "s"], "c")], r"\(Exp\), node 's' \(Sin\) are not"),
-        ([("Less", ["x", "gain"], "l"), ("Where", ["l", "x", "gain"], "c")], r"node 'l' \(Less\) is not affine"),
+        ([("Less", ["x", "gain"], "l"), ("Exp", ["x"], "e"), ("Where", ["l", "x", "e"], "c")], r"'l' \(Less\) is not"),
+        ([("Less", ["x", "gain"], "l"), ("Not", ["l"], "n"), ("Cast", ["n"], "c", {"to": 11})], r"'l' \(Less\) is not"),
         ([("NonZero", ["x"], "k"), ("Cast", ["k"], "c", {"to": 11})], "its answer is not known before"),
     ],
 )
@@ -146,10 +147,50 @@ def test_a_wide_layer_is_read_in_few_evaluations() -> None:
         np.testing.assert_array_equal(network.weights[1], V)
 
 
-def test_a_clip_far_away_is_no_section() -> None:
-    network = otr.from_onnx(model([("Clip", ["x", "", "far"], "c"), *LAYERS], far=np.array(1e9)))
+@pytest.mark.parametrize("limits", [["", "far"], ["low", "far"]])
+def test_a_clip_far_away_is_no_section(limits: list) -> None:
+    clip = ("Clip", ["x", *limits], "c")
+    network = otr.from_onnx(model([clip, *LAYERS], low=np.array(-1e9), far=np.array(1e9)))
     far = np.array([[3e9, 0, 0, 0]])
     np.testing.assert_allclose(network.predict(far), network.predict(far / 3), rtol=1e-9)
+
+
+CLIPS = [(-2.0, 2.0), (-50.0, 50.0), (0.0, 6.0), (0.0, np.inf), (3.0, 4.0), (-1e-3, 1e-3)]
+
+
+@pytest.mark.parametrize("limits", CLIPS)
+def test_a_clip_of_one_number_is_read_whatever_its_weights(limits: tuple) -> None:
+    """The points on which it is tried must not be on one side of it."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        W, b = rng.uniform(-1, 1, size=(1, 3)), rng.uniform(-1, 1, size=1)
+        steps = [("layer", lambda x, W=W, b=b: x @ W.T + b), ("clip", lambda z: np.clip(z, *limits))]
+        network = policy_of(Sections.of_steps(steps, 3, {0: W}))
+        X = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-4, 4, size=(200, 1))
+        np.testing.assert_allclose(network.predict(X), np.clip(X @ W.T + b, *limits), rtol=0, atol=1e-9)
+
+
+def test_what_is_linear_along_each_line_through_zero_is_no_section() -> None:
+    for seed in range(20):
+        W = np.random.default_rng(seed).normal(size=(3, 4))
+        steps = [("layer", lambda x, W=W: x @ W.T), ("median", lambda z: np.median(z, axis=-1, keepdims=True))]
+        with pytest.raises(otr.InvalidNetworkError, match="median is not affine"):
+            policy_of(Sections.of_steps(steps, 4, {0: W}))
+
+
+CHOSEN = {
+    "where": [("Greater", ["z", "low"], "g"), ("Where", ["g", "z", "low"], "a")],
+    "where not": [("Greater", ["z", "low"], "g"), ("Not", ["g"], "n"), ("Where", ["n", "low", "z"], "a")],
+    "times a comparison": [("Greater", ["z", "low"], "g"), ("Cast", ["g"], "t", {"to": 11}), ("Mul", ["z", "t"], "a")],
+}
+
+
+@pytest.mark.parametrize("name", CHOSEN)
+def test_relu_written_with_a_comparison(name: str) -> None:
+    """Also where it is the policy's answer."""
+    layers = [("Gemm", ["x", "W1", "b1"], "z", {"transB": 1}), *CHOSEN[name]]
+    assert assert_read(model([*layers, LAYERS[2]], low=np.zeros(1))).hidden_widths == (6,)
+    assert assert_read(model(layers, low=np.zeros(1))).hidden_widths == (6,)
 
 
 @settings(max_examples=25, deadline=None)

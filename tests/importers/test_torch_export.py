@@ -78,6 +78,11 @@ MAPPED = {
         lambda: Policy(lambda m, x: m.two(torch.relu(m.one(x.view(-1, 4)))).clamp_(-0.25, 0.5).reshape(1, 2)),
         otr.ClipBox([-0.25] * 2, [0.5] * 2),
     ),
+    "where": (
+        lambda: Policy(lambda m, x: m.two(torch.where((z := m.one(x)) > 0, z, 0))),
+        otr.Identity(),
+    ),
+    "times a comparison": (lambda: Policy(lambda m, x: m.two((z := m.one(x)) * (z > 0))), otr.Identity()),
     "labels": (lambda: Policy(lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=1)), otr.Argmax()),
 }
 
@@ -115,6 +120,18 @@ def test_tanh_units_and_a_module_are_an_oracle(tmp_path: Path) -> None:
     assert isinstance(relu, otr.ReluNetwork)
     with pytest.raises(otr.InvalidNetworkError, match=r"not from a float; .*predict"):
         read_policy(3.0)
+
+
+def test_what_is_chosen_by_a_comparison_is_an_oracle() -> None:
+    chosen = Policy(lambda m, x: m.two(torch.where((z := m.one(x)) > 0, z, z.exp())).softmax(dim=1))
+    policy = read_policy(chosen)
+    assert policy.suffix == ".pt2" and policy.head == otr.Argmax()
+    np.testing.assert_array_equal(policy.predict(STATES.numpy()), chosen(STATES).argmax(dim=1).numpy())
+    two = Policy(lambda m, x: torch.where(m.two(m.one(x)) > 0, 2.0, -2.0))
+    np.testing.assert_array_equal(read_policy(two).predict(STATES.numpy()), two(STATES).numpy())
+    for module in (chosen, two):
+        with pytest.raises(otr.InvalidNetworkError, match=r"^node 'gt' \(gt\) is not affine"):
+            otr.from_torch(module)
 
 
 def test_probabilities_are_decided_or_need_their_head(tmp_path: Path) -> None:

@@ -267,7 +267,7 @@ def _function(call: Call) -> Callable[..., Any]:
         return _OF_SIZES[call.target]
     match = re.fullmatch(r"torch\.ops\.aten\.(\w+)\.(\w+)", call.target)
     found = getattr(getattr(torch.ops.aten, match[1], None), match[2], None) if match else None
-    pure = getattr(getattr(torch.ops.aten, match[1].rstrip("_"), None), match[2], None) if match else None
+    pure = getattr(getattr(torch.ops.aten, re.sub("(_|_copy)$", "", match[1]), None), match[2], None) if match else None
     if isinstance(found, torch._ops.OpOverload):
         for each in (found, pure):
             is_known = isinstance(each, torch._ops.OpOverload) and (

@@ -83,6 +83,10 @@ MAPPED = {
         otr.Identity(),
     ),
     "times a comparison": (lambda: Policy(lambda m, x: m.two((z := m.one(x)) * (z > 0))), otr.Identity()),
+    "a constant in forward": (
+        lambda: Policy(lambda m, x: torch.tanh(m.two(torch.relu(m.one(x)))) * torch.tensor([2.0, 0.5])),
+        otr.TanhBox([-2, -0.5], [2, 0.5]),
+    ),
     "labels": (lambda: Policy(lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=1)), otr.Argmax()),
 }
 

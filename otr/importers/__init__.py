@@ -81,8 +81,8 @@ def from_torch(
 
     Raises:
         InvalidNetworkError: an operation that is neither affine nor known, named; smooth units; a hook; another answer
-            than the module's; tensors that are complex, sparse, expanded or without numbers; a matrix of more than 2^24
-            numbers.
+            than the module's; tensors that are complex, sparse, expanded or without numbers; weights that are not
+            finite; a matrix of more than 2^24 numbers.
         ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
         MissingExtraError: torch is not installed.
 

@@ -173,7 +173,8 @@ def black_box(
         reason, content, suffix, output: as `BlackBox` has them.
 
     Raises:
-        InvalidNetworkError: it answers differently every time, or whole numbers that are no ArgMax; or it cannot run.
+        InvalidNetworkError: it answers differently every time, whole numbers that are no ArgMax, or numbers that are
+            not finite; or it cannot run.
     """
     value = sections.output_name
     head: Head = Identity()
@@ -203,7 +204,9 @@ def black_box(
     def run(X: FloatArray) -> FloatArray:
         return several(X) if is_same else np.stack([one(x).ravel() for x in X])
 
-    return BlackBox(run, n_inputs, width, _first_layer(sections), reason, content, suffix, output, head=head)
+    policy = BlackBox(run, n_inputs, width, _first_layer(sections), reason, content, suffix, output, head=head)
+    policy.forward(probes)
+    return policy
 
 
 def _first_layer(sections: Sections) -> FloatArray:

@@ -32,6 +32,7 @@ _N_BACK = 8  # nodes in which one unit may be written
 IMITATE = "train with these, or let a tree imitate the model as it is: otr.imitate(otr.read_policy(model), env)"
 MEMORY = "{} remembers earlier states, and a tree answers the present one; use a policy without memory"
 RANDOM = "answers differently every time; export the deterministic policy, of torch after module.eval()"
+NOT_FINITE = "a weight or bias is not finite (NaN or infinite); give a policy from before the training diverged"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
 
 
@@ -235,6 +236,7 @@ class Sections:
                 continue
             read, unit = self._unit(node, i)
             if unit is None:
+                self._require_finite(node, answers)
                 again = self._run(node, {name: self._points[name][0] for name in live})[i]
                 if not np.array_equal(answers[0], again, equal_nan=is_real):
                     raise InvalidNetworkError(RANDOM)
@@ -255,6 +257,14 @@ class Sections:
             if not affine:
                 break
         return made, affine
+
+    def _require_finite(self, node: Node, answers: list[NDArray[Any]]) -> None:
+        """Raise InvalidNetworkError where weights or biases are not finite; -inf alone may be a mask."""
+        if any(np.isnan(each).any() or np.isposinf(each).any() for each in answers if each.dtype.kind == "f"):
+            for name in node.inputs:
+                values = np.asarray(self.constants.get(name, 0.0))
+                if values.dtype.kind == "f" and not np.isfinite(values).all():
+                    raise InvalidNetworkError(f"{node.name} reads {name!r}: {NOT_FINITE}")
 
     def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
         """Raise InvalidNetworkError where a node answers one state always the same, and two states differently."""

@@ -28,7 +28,7 @@ from otr.core.smooth_network import Oracle
 from otr.errors import InvalidNetworkError
 from otr.importers.assembly import Function, black_box, policy_of
 from otr.importers.relu_units import Node
-from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Sections
+from otr.importers.sections import LIMIT_NUMBERS, MEMORY, NOT_FINITE, Sections
 from otr.importers.torch_export_file import Call, Export, Name, Type, names_in, read_export
 
 if TYPE_CHECKING:
@@ -50,6 +50,9 @@ def policy_of_module(module: torch.nn.Module, head: Head | None, *, decides: boo
 
     for name, tensor in chain(module.named_parameters(), module.named_buffers()):
         _require_numbers(tensor, f"tensor {name!r}")
+        is_parameter = isinstance(tensor, torch.nn.Parameter)  # a buffer may hold infinite limits
+        if torch.isnan(tensor).any() or (is_parameter and torch.isinf(tensor).any()):
+            raise InvalidNetworkError(f"tensor {name!r}: {NOT_FINITE}")
     refuse_changes(module, "module")
     linear = _first_linear(module)
     copied = _copy(module)

@@ -17,6 +17,7 @@ from onnx.reference import ReferenceEvaluator
 from torch import nn
 
 import otr
+from otr.core.black_box import BlackBox
 from otr.importers.assembly import policy_of
 from otr.importers.sections import Sections
 
@@ -191,6 +192,33 @@ def test_relu_written_with_a_comparison(name: str) -> None:
     layers = [("Gemm", ["x", "W1", "b1"], "z", {"transB": 1}), *CHOSEN[name]]
     assert assert_read(model([*layers, LAYERS[2]], low=np.zeros(1))).hidden_widths == (6,)
     assert assert_read(model(layers, low=np.zeros(1))).hidden_widths == (6,)
+
+
+def with_numbers(name: str, value: float) -> onnx.ModelProto:
+    numbers = {"W2": W2.copy(), "b2": B2.copy(), "offset": np.zeros(4)}
+    numbers[name].flat[0] = value
+    return model([("Add", ["x", "offset"], "c"), *LAYERS], **numbers)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("W2", np.nan), ("W2", np.inf), ("W2", -np.inf), ("b2", np.inf), ("offset", np.nan)]
+)
+def test_weights_that_are_not_finite(name: str, value: float) -> None:
+    for read in (otr.from_onnx, otr.read_policy):
+        with pytest.raises(
+            otr.InvalidNetworkError, match=f"node '[uc]' .* reads '{name}': a weight or bias is not fin"
+        ):
+            read(with_numbers(name, value))
+
+
+def test_infinite_limits_and_masks_are_none_of_weights() -> None:
+    limits = {"low": np.array(-np.inf), "far": np.array(np.inf)}
+    assert_read(model([("Clip", ["x", "low", "far"], "c"), *LAYERS], **limits))
+    mask = np.array([0, 0, -np.inf, 0])
+    masked = [("Add", ["x", "mask"], "m"), ("Softmax", ["m"], "c"), *LAYERS]
+    assert isinstance(otr.read_policy(model(masked, mask=mask)), BlackBox)
+    with pytest.raises(otr.InvalidNetworkError, match=r"the model answers \[.*-inf.*\] in the state"):
+        otr.read_policy(with_numbers("b2", -np.inf))
 
 
 @settings(max_examples=25, deadline=None)

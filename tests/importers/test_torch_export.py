@@ -138,6 +138,17 @@ def test_what_is_chosen_by_a_comparison_is_an_oracle() -> None:
             otr.from_torch(module)
 
 
+def test_weights_that_are_not_finite(tmp_path: Path) -> None:
+    module = sequential(nn.ReLU())
+    with torch.no_grad():
+        module[2].weight[0, 0] = torch.nan
+    path = written(exported(module), tmp_path / "policy.pt2")
+    for read in (otr.from_torch, read_policy):
+        for given in (path, module):
+            with pytest.raises(otr.InvalidNetworkError, match=r"2.weight'.* a weight or bias is not finite"):
+                read(given)
+
+
 def test_probabilities_are_decided_or_need_their_head(tmp_path: Path) -> None:
     module = sequential(nn.ReLU(), nn.Softmax(dim=1))
     path = written(exported(module), tmp_path / "policy.pt2")

@@ -104,6 +104,16 @@ def test_a_module_that_does_something_else_is_refused(make: Callable, message: s
         otr.from_torch(make())
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("0.weight", np.inf), ("0.bias", -np.inf), ("2.bias", np.nan), ("1.running_mean", np.nan)]
+)
+def test_numbers_that_are_not_finite_are_named(name: str, value: float) -> None:
+    module = nn.Sequential(nn.Linear(3, 4), nn.BatchNorm1d(4), nn.Linear(4, 2)).eval()
+    module.state_dict()[name].view(-1)[0] = value
+    with pytest.raises(otr.InvalidNetworkError, match=f"tensor '{name}': a weight or bias is not finite"):
+        otr.from_torch(module)
+
+
 class Agent(nn.Module):
     def __init__(self) -> None:
         super().__init__()

@@ -172,7 +172,11 @@ def _is_integer(value: Expression, integers: Collection[str]) -> bool:
         return value.text in integers
     if isinstance(value, Chain):
         return all(_is_integer(each, integers) for each in (value.first, *(operand for _, operand, _ in value.rest)))
-    return isinstance(value, Call) and value.function in ("max", "min") and all(_is_integer(each, integers) for each in value.arguments)
+    return (
+        isinstance(value, Call)
+        and value.function in ("max", "min")
+        and all(_is_integer(each, integers) for each in value.arguments)
+    )
 
 
 def _parts(part: Part) -> Iterator[Part]:

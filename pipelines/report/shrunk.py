@@ -13,8 +13,8 @@ from pipelines.report.sizes import steps_in_all
 from pipelines.report.text import markdown_table
 
 HEAD = ["", "runs", "oracle", "imitating", "polished", "from nothing", "thesis", "steps", "minutes: oracle, then"]
-NAMES = {"distilled_otr": "OTR", "distilled_experts": "experts"}
-FROM_NOTHING = {"distilled_otr": "otr", "distilled_experts": "experts"}
+FROM_NOTHING = {"distilled_otr": "otr", "distilled_experts": "experts"}  # what makes such a policy without an oracle
+NAMES = {"otr": "OTR", "experts": "experts", "linear": "linear"}
 BY = ("standard-fleet", "standard-ars")  # what learns from nothing: SAC and, where it was not run, direct search
 POLICY = ["task", "method", "depth"]
 
@@ -31,13 +31,13 @@ def shrunk_table(results_dir: Path) -> str:
     lines = [HEAD]
     for (task, method, depth), runs in in_order(own, POLICY).groupby(POLICY, sort=False):
         forms = every[every["run"].isin(runs["run"])].groupby("form")["return_mean"]
-        alone = FROM_NOTHING.get(method)  # the method that makes such a policy without an oracle
+        alone = "linear" if depth == "0" else FROM_NOTHING.get(method)
         by = next((by for by in BY if (task, alone, depth, by) in nothing.groups), None)
-        theirs = published().get(("4.1", task, "otr" if method == "distilled_otr" else method.replace("_", "-"), depth))
+        theirs = published().get(("4.1", task, "otr" if alone == "otr" else method.replace("_", "-"), depth))
         after = runs["seconds.imitate"] + runs["polish.cpu_seconds"]
         oracle = [_oracle_minutes(results_dir, run) for run in runs["run"]]
         lines.append([
-            f"{TASK_NAMES[task]}, {NAMES.get(method, METHOD_NAMES.get(method))} ({depth})",
+            f"{TASK_NAMES[task]}, {NAMES[alone] if alone else METHOD_NAMES.get(method)} ({depth})",
             str(len(runs)),
             *(_spread(forms.get_group(form)) for form in ("oracle", "pruned_tree", "polished")),
             _spread(nothing.get_group((task, alone, depth, by))) if by else "not run" if alone else "-",

@@ -31,10 +31,10 @@ WANTED = (
            'otr-run -m env={tasks} method=distilled_experts depth=4,8,16 "seed=range(3,8)" trainer=shrink'),
     Wanted("shrunk networks", EIGHT, (SHRUNK,), ("0", "6", "32"), "standard-shrink",
            'otr-run -m env={tasks} method=distilled_otr depth=0,6,32 "seed=range(3,8)" trainer=shrink'),
-    Wanted("imitators polished by critics", ("reacher", "halfcheetah", "ant", "pendulum"),
+    Wanted("imitators polished by critics", ("reacher", "walker2d", "halfcheetah", "ant", "pendulum"),
            ("viper-critic-polished", "lm-viper-critic-polished", "ndps-critic-polished"), ("6",), "standard-fleet",
            'otr-run -m env={tasks} method=viper,lm_viper,ndps depth=6 "seed=range(3,8)" polish=true'),
-    Wanted("imitators of SAC's oracles", ("walker2d", "hopper", "swimmer"), RIVALS[:3], ("6",), "standard-fleet",
+    Wanted("imitators of SAC's oracles", ("hopper", "swimmer"), RIVALS[:3], ("6",), "standard-fleet",
            f"otr-run -m env={{tasks}} method=viper,lm_viper,ndps {FIVE} algo=sac trainer=fleet"),
     Wanted("longer searches of the walker", ("walker2d",), ("otr",), ("6", "32"), "standard-ars",
            'otr-run -m env={tasks} method=otr depth=6,32 "seed=range(8,13)" budget.search.walker2d.steps=30_000_000 '

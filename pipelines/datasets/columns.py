@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from pipelines.datasets.table_file import read_table
 from pipelines.errors import ConfigError, did_you_mean
 
 TaskKind = Literal["classification", "regression", "counts"]
@@ -51,6 +52,12 @@ class Column:
             made = [np.where(missing, self.fill, _numbers(self.name, column))]
         else:
             text = column.astype(str).to_numpy()
+            is_text = pd.api.types.is_object_dtype(column) or pd.api.types.is_string_dtype(column)
+            if not is_text and not np.isin(text[~missing], self.values).all():
+                raise ConfigError(
+                    f"column {self.name!r} holds texts, as {self.values[0]}, and these rows have numbers, as "
+                    f"{column[~missing].iloc[0]}: give the file to encode, or read it with dtype=str"
+                )
             made = [(text == value) & ~missing for value in self.values]
         return np.column_stack([*made, *([missing] if self.has_missing else [])]).astype(np.float64)
 
@@ -69,12 +76,14 @@ class Columns:
         """The names of the features, in order."""
         return tuple(name for column in self.columns for name in column.features)
 
-    def encode(self, rows: pd.DataFrame) -> np.ndarray:
-        """Return the features (n, d) of rows, float64; columns besides those that were learnt from are ignored.
+    def encode(self, rows: pd.DataFrame | str | Path) -> np.ndarray:
+        """Return the features (n, d) of rows, or of a file's, float64; columns that were not learnt from are ignored.
 
         Raises:
-            ConfigError: a column is missing, or has text in place of numbers.
+            ConfigError: a column is missing, has text in place of numbers, or numbers in place of categories.
         """
+        if not isinstance(rows, pd.DataFrame):
+            rows = read_table(rows, texts=[column.name for column in self.columns if column.values is not None])
         for column in self.columns:
             if column.name not in rows:
                 raise ConfigError(f"the rows have no column {column.name!r}.{did_you_mean(column.name, list(rows))}")

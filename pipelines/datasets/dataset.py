@@ -83,15 +83,19 @@ class Dataset:
     def folds(self, n_folds: int = 5) -> list["Dataset"]:
         """Return data sets for a cross-validation inside train and valid; the test part is in none of them.
 
-        Groups stay together, and folds have about as many rows. In data set k fold k is the part `test`, on which what
-        was fitted is scored; the next fold is `valid`, and the others are `train`.
+        Groups stay together, and folds have about as many rows; of more than two classes, as many of each. In data set
+        k fold k is the part `test`, on which what was fitted is scored; the next fold is `valid`, the others `train`.
         """
-        from sklearn.model_selection import GroupKFold
+        from sklearn.model_selection import GroupKFold, StratifiedKFold
 
         pooled = pool([self.train, self.valid])
         n_rows = len(pooled.X)
         groups = np.arange(n_rows) if pooled.groups is None else pooled.groups
-        folds = [rows for _, rows in GroupKFold(n_folds).split(np.zeros(n_rows), groups=groups)]
+        classes = pooled.Y[:, 0]
+        if pooled.groups is None and self.task == "classification" and np.nanmax(classes) > 1:
+            folds = [rows for _, rows in StratifiedKFold(n_folds).split(np.zeros(n_rows), classes)]
+        else:
+            folds = [rows for _, rows in GroupKFold(n_folds).split(np.zeros(n_rows), groups=groups)]
         made = []
         for k in range(n_folds):
             others = [rows for i, rows in enumerate(folds) if i not in (k, (k + 1) % n_folds)]

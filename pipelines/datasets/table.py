@@ -1,6 +1,8 @@
 """Tables of the user, CSV or Parquet, as data sets: what a column may be, and what the target asks for."""
 
-from collections.abc import Sequence
+import re
+import shlex
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +10,12 @@ import pandas as pd
 
 from pipelines.datasets.columns import Column, Columns, TaskKind
 from pipelines.datasets.dataset import Dataset, Part
+from pipelines.datasets.table_file import PARQUET, read_table
 from pipelines.errors import ConfigError, did_you_mean
 
-PARQUET = (".parquet", ".pq")
 SUFFIXES = (".csv", ".tsv", ".txt", ".csv.gz", *PARQUET)
 MOST_VALUES = 64  # of a category
 LEAST_ROWS = 20  # of which two are for validation and two for the test
-DECIMAL = r"[+-]?\d*,?\d+([eE][+-]?\d+)?"
 DATE = r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?"
 
 
@@ -33,7 +34,7 @@ def load_table(
     are left out.
 
     Args:
-        path: CSV with a header, its columns divided by commas, semicolons or tabs, or Parquet.
+        path: as of `read_table`.
         target: column that is learnt.
         task: classification, regression or counts, where the target's type does not say it.
         drop: columns that are left out.
@@ -42,21 +43,23 @@ def load_table(
     Raises:
         ConfigError: there is no such file, column or class to learn, or a column is neither numbers nor categories.
     """
-    frame = _read(Path(path))
+    frame = read_table(path)
     for name in [*drop, *([] if target is None else [target])]:
         if name not in frame:
             raise ConfigError(f"{path} has no column {name!r}.{did_you_mean(name, list(frame))}")
     if target is None:
         raise ConfigError(f"{path}: which column is to be learnt? Add target=NAME with one of: {', '.join(frame)}")
     frame = frame.drop(columns=[name for name in drop if name != target])
-    frame = frame[frame[target].notna()].reset_index(drop=True)
+    every, frame = frame.drop(columns=target), frame[frame[target].notna()].reset_index(drop=True)
+    if len(frame) < len(every):
+        print(f"{path}: {len(every) - len(frame)} of {len(every)} rows have no {target} and are left out", flush=True)
     if len(frame) < LEAST_ROWS:
         raise ConfigError(f"{path} has {len(frame)} rows with a target; give {LEAST_ROWS} at least")
     kind = task or _task_of(frame[target])
     y, classes = _labels(frame[target], kind)
     features = frame.drop(columns=target)
     rows = _parts(y if kind == "classification" else np.zeros(len(y)), split or 0)
-    _check(features, features.iloc[rows["train"]], str(path))
+    _check(every, features.iloc[rows["train"]], str(path))
     columns = Columns(
         target, kind, classes, tuple(Column.of(name, features[name].iloc[rows["train"]]) for name in features)
     )
@@ -68,34 +71,6 @@ def load_table(
 def is_table(value: str) -> bool:
     """Return whether a data set's name is the path of a table."""
     return value.lower().endswith(SUFFIXES)
-
-
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        if path.suffix.lower() in PARQUET:
-            frame = pd.read_parquet(path)
-        else:
-            head = pd.read_csv(path, sep="\0", nrows=0, engine="python", encoding="utf-8-sig").columns[0]
-            separator = max(",;\t", key=head.count)
-            frame = pd.read_csv(path, sep=separator, encoding="utf-8-sig", na_values=["?"])
-            if separator != ",":
-                frame = frame.apply(_without_decimal_commas)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{path}: there is no such file") from error
-    except ImportError as error:
-        raise ConfigError(f"{path}: Parquet is read by pyarrow: pip install 'otr[parquet]'") from error
-    except (ValueError, OSError) as error:  # among them pandas' own, and those of text that is no UTF-8
-        raise ConfigError(f"{path} cannot be read as a table with a header: {error}") from error
-    frame.columns = frame.columns.map(str)
-    return frame
-
-
-def _without_decimal_commas(column: pd.Series) -> pd.Series:
-    """Return a column of texts as numbers where all are such with a decimal comma."""
-    texts = column.dropna()
-    if pd.api.types.is_numeric_dtype(column) or texts.empty or not texts.astype(str).str.fullmatch(DECIMAL).all():
-        return column
-    return texts.str.replace(",", ".").astype(np.float64).reindex(column.index)
 
 
 def _task_of(target: pd.Series) -> TaskKind:
@@ -115,6 +90,8 @@ def _labels(target: pd.Series, task: TaskKind) -> tuple[np.ndarray, tuple[str, .
         if not pd.api.types.is_numeric_dtype(target):
             raise ConfigError(f"target={name}: task={task} is for numbers, and it has {str(target.iloc[0])!r}")
         y = target.to_numpy(dtype=np.float64)
+        if np.isinf(y).any():
+            raise ConfigError(f"target={name}: it holds infinity; make it a large number, or missing")
         if task == "counts" and ((y < 0) | (y != np.round(y))).any():
             raise ConfigError(f"target={name}: task=counts is for whole numbers from 0 on; leave it out")
         return y, None
@@ -139,8 +116,18 @@ def _check(columns: pd.DataFrame, training: pd.DataFrame, path: str) -> None:
         lines = "\n".join(f"  {name}: {problem}" for name, problem in wrong.items())
         raise ConfigError(
             f"{path} has columns that are neither numbers nor categories\n{lines}\nLeave them out with "
-            f"drop=[{','.join(wrong)}], or make them numbers (days since a date, months) or broader categories"
+            f"{_dropping(wrong)}, or make them numbers (days since a date, months) or broader categories"
         )
+
+
+def _dropping(names: Iterable[str]) -> str:
+    """Return the override that leaves columns out, quoted where a shell or Hydra would read their names otherwise."""
+    names = list(names)
+    if all(re.fullmatch(r"[\w.-]+", name) for name in names):
+        return f"drop=[{','.join(names)}]"
+    listed = ",".join("'" + name.replace("\\", r"\\").replace("'", r"\'") + "'" for name in names)
+    override = f"drop=[{listed}]"
+    return shlex.quote(override) if re.search(r'["$`\\!]', override) else f'"{override}"'
 
 
 def _problem(column: pd.Series) -> str | None:
@@ -150,7 +137,10 @@ def _problem(column: pd.Series) -> str | None:
         return f"dates, as {values.iloc[0]}" if len(values) else "dates"
     n_values = values.nunique()
     if pd.api.types.is_numeric_dtype(column):
-        is_whole = pd.api.types.is_integer_dtype(column) and n_values == len(column) > MOST_VALUES
+        is_whole = pd.api.types.is_integer_dtype(column) and n_values == len(column)
+        if is_whole and str(column.name).startswith("Unnamed: "):
+            return "whole numbers without a name, as of rows"
+        is_whole &= len(column) > MOST_VALUES
         return "another whole number in each row, as an id" if is_whole and np.ptp(column) == len(column) - 1 else None
     text = values.astype(str)
     if len(text) and text.str.fullmatch(DATE).all():

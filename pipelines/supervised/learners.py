@@ -182,12 +182,12 @@ def _taught(dataset: Dataset, label: int, teacher: str, seed: int) -> tuple[np.n
 
 @functools.lru_cache(maxsize=1)
 def _distilled(dataset: Dataset, teacher: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows in float32 and probabilities, of all labels that can be learned, as networks are taught by them."""
+    """Return rows and probabilities, of all labels that can be learned, as networks are taught by them."""
     from otr.learners.distillation import distillation_set
 
     labels = dataset.train.Y[:, usable_labels(dataset)]
     rows, targets = distillation_set(dataset.train.X, labels, teacher_of(json.loads(teacher)), seed=seed)
-    return rows.astype(np.float32), targets
+    return rows if rows.dtype.kind == "f" else rows.astype(np.float32), targets  # binary features lose nothing
 
 
 def _fit_together(

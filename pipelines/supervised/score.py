@@ -33,7 +33,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
     dataset = dataset_of(config)
     metric = metric_of(dataset)
     trees = read_csv(inputs["fit"] / "trees.csv")
-    columns = np.full((3, len(dataset.test.Y), len(trees)), np.nan, dtype=np.float32)
+    columns = np.full((3, len(dataset.test.Y), len(trees)), np.nan)
     rows: list[dict[str, Any]] = []
     for i, described in enumerate(trees):
         label = described["label"]

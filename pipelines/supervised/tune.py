@@ -123,7 +123,11 @@ def _scores(
         learned, fitted = [], []
     for label, of_label in zip(learned, fitted, strict=True):
         X, y = dataset.labelled(part, label)
-        means[label] = float(np.mean([score(metric, outputs_of(each.tree, X), y) for each in of_label]))
+        learnt = np.unique(dataset.labelled("train", label)[1])  # a fold may lack a class
+        outputs = [
+            learnt[each.tree.predict(X)] if metric == "accuracy" else outputs_of(each.tree, X) for each in of_label
+        ]
+        means[label] = float(np.mean([score(metric, each, y) for each in outputs]))
     seconds = time.process_time() - began
     write_json(path, {"settings": changes, "scores": [_number(mean) for mean in means.values()], "seconds": seconds})
     return np.array(list(means.values())), seconds

@@ -73,6 +73,64 @@ def test_decimal_commas_are_numbers_where_semicolons_part_the_columns(tmp_path):
         assert (commas.part(part).X == points.part(part).X).all() and (commas.part(part).Y == points.part(part).Y).all()
 
 
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (('"size","y"', '"1.5","a"', '"2","b"'), ("size",)),
+        (('"sales, EUR",y', "1,a", "2,b"), ("sales, EUR",)),
+        (("Umsatz, EUR;Menge, kg;y", "1,5;2,25;a", "2;3;b"), ("Umsatz, EUR", "Menge, kg")),
+        (('"a\nb",y', "1,a", "2,b"), ("a\nb",)),
+        (("code,y", "007,a", "07,b", "x,a"), ("code == 007", "code == 07", "code == x")),
+        (("kind,y", "None,a", "Some,b", "?,a"), ("kind == None", "kind == Some", "kind is missing")),
+        (("size,y", "NA,a", "1e3,b", "2,a", "nan,a"), ("size", "size is missing")),
+        (("big,y", "12345678901234567890,a", "1,b"), ("big",)),
+    ],
+)
+def test_what_a_file_holds_is_read_as_it_is_written(tmp_path, lines, expected):
+    head, *rows = lines
+    (tmp_path / "my.csv").write_text("\n".join([head, *(rows * 40)]) + "\n", encoding="utf-8")
+    dataset = load_table(tmp_path / "my.csv", "y")
+    assert dataset.feature_names == expected and len(dataset.train.X) >= 60
+    assert np.isfinite(dataset.train.X).all() and np.ptp(dataset.train.X, axis=0).all()
+
+
+def test_a_file_of_new_rows_is_read_as_the_training_rows_were(tmp_path):
+    """Alone, pandas would read 01 as the number 1, and TRUE as a truth value."""
+    rows = [
+        f"{code},{flag},{'yes' if code == '01' else 'no'}" for code in ("01", "02", "A1") for flag in ("TRUE", "no")
+    ]
+    (tmp_path / "my.csv").write_text("\n".join(["code,flag,y", *(rows * 20)]))
+    columns = load_table(tmp_path / "my.csv", "y").columns
+    assert columns.feature_names == ("code == 01", "code == 02", "code == A1", "flag == TRUE")
+    (tmp_path / "new.csv").write_text("code,flag\n01,TRUE\n02,TRUE\n01,TRUE\n")
+    assert columns.encode(tmp_path / "new.csv").tolist() == [[1, 0, 0, 1], [0, 1, 0, 1], [1, 0, 0, 1]]
+    with pytest.raises(ConfigError, match="column 'code' holds texts, as 01, and these rows have numbers, as 1"):
+        columns.encode(pd.read_csv(tmp_path / "new.csv"))
+
+
+@pytest.mark.parametrize(
+    ("lines", "target", "message"),
+    [
+        (("income\ty", "4,253\ta", "999\tb"), "y", "'income' has 4,253, a thousand or a decimal: write it as 4253"),
+        (('y,income', 'a,"4,253"', "b,999"), "y", "column 'income' has 4,253"),
+        ((",size,y", *(f"{i},{i % 3},a\n{i + 1},{i % 5},b" for i in range(0, 80, 2))), "y",
+         "Unnamed: 0: whole numbers without a name.*\n.*\"drop=\\['Unnamed: 0'\\]\""),
+        (("size,y", "1,2.5", "2,inf", "3,4"), "y", "target=y: it holds infinity"),
+    ],
+)  # fmt: skip
+def test_what_may_be_read_in_two_ways_is_refused(tmp_path, lines, target, message):
+    head, *rows = lines
+    (tmp_path / "my.csv").write_text("\n".join([head, *(rows if len(rows) > 20 else rows * 40)]) + "\n")
+    with pytest.raises(ConfigError, match=message):
+        load_table(tmp_path / "my.csv", target)
+
+
+def test_rows_without_a_target_are_counted(tmp_path, capsys):
+    frame().assign(price=[np.nan] * 7 + [1.0, 2.0, 3.0] * 64 + [4.0]).to_csv(tmp_path / "my.csv", index=False)
+    load_table(tmp_path / "my.csv", "price")
+    assert "7 of 200 rows have no price and are left out" in capsys.readouterr().out
+
+
 def test_rows_that_are_held_out_decide_nothing(tmp_path):
     """Whatever stands in the validation and test rows, columns and training features are the same."""
     made = frame()

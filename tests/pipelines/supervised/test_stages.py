@@ -202,6 +202,34 @@ def test_a_label_of_one_class_in_a_fold_is_left_out_there(fit_of, monkeypatch, t
     assert [each["settings"].keys() for each in read_json(tmp_path / "chosen.json")] == [{"max_depth"}] * 2
 
 
+def test_a_class_of_few_rows_is_in_the_training_rows_of_every_fold(fit_of, monkeypatch, tmp_path):
+    dataset = load_dataset("breast_cancer")
+    Y = dataset.train.Y.copy()
+    Y[:3] = 2  # beside one another: without strata all in one fold
+    three = dataclasses.replace(dataset, train=dataclasses.replace(dataset.train, Y=Y))
+    folds = three.folds()
+    assert all(len(np.unique(fold.train.Y)) == 3 for fold in folds)
+    without = [
+        dataclasses.replace(fold, train=fold.train.take(np.flatnonzero(fold.train.Y[:, 0] > 0))) for fold in folds
+    ]
+    monkeypatch.setattr("pipelines.supervised.tune.dataset_of", lambda config: three)
+    monkeypatch.setattr("pipelines.datasets.dataset.Dataset.folds", lambda self: without)
+    tune({}, fit_of("cart", grid=GRID, tuned_on="folds"), tmp_path)  # of trees that answer 1 and 2 by positions 0 and 1
+    share = np.mean([(fold.test.Y == 1).mean() for fold in folds])
+    assert max(float(row["valid"]) for row in read_csv(tmp_path / "candidates.csv")) == pytest.approx(share, abs=0.02)
+
+
+def test_a_teacher_rounds_no_numbers(fit_of):
+    rng, n = np.random.default_rng(0), 200
+    dataset = load_dataset("breast_cancer")
+    X = 1.7e9 + rng.permutation(n)[:, None]  # seconds, which float32 holds to 128
+    part = dataclasses.replace(dataset.train, X=X, Y=(1.7e9 + n / 2 < X).astype(float))
+    timed = dataclasses.replace(dataset, train=part, valid=part, test=part, feature_names=("time",))
+    method = fit_of("cart", max_depth=3, teacher={"n_estimators": 20}).method
+    ((fitted,),) = fit_trees(method, timed, [0], [0])
+    assert (fitted.tree.predict(X) == part.Y[:, 0]).mean() > 0.95
+
+
 def test_seeds_share_what_was_tuned_and_only_one_tunes(fit_of, monkeypatch):
     tuned = []
     import pipelines.supervised.tune as module

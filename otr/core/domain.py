@@ -142,7 +142,7 @@ class Domain:
         sizes = np.abs(forms) if sizes is None else sizes
         # By powers of two, so that no square overflows and none is lost.
         exponents = np.frexp(np.maximum(sizes[..., :-1] * self._scale, np.finfo(np.float64).tiny).max(axis=-1))[1]
-        exponents = np.where(sizes[..., :-1].any(axis=-1), exponents, 0)
+        exponents = np.where((sizes[..., :-1] * self._scale).any(axis=-1), exponents, 0)
         unit = np.ldexp(1.0, -np.clip(exponents, -1000, 1000))[..., None]
         scaled, sizes = self.scaled(forms * unit), sizes * unit
         a, b = scaled[..., :-1], scaled[..., -1]

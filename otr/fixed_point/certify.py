@@ -31,10 +31,11 @@ from otr.fixed_point.slopes import largest_changes
 from otr.proof.certificate import Certificate
 from otr.proof.certify import certify
 from otr.proof.exact_rows import TreeAndNetwork, rounded_up
-from otr.proof.verify import verify
+from otr.proof.verify import check_fit, verify
 
 Policy = ReluNetwork | PatternTree | ObliqueTree
 
+_FEW_REGIONS = 2**10  # of a leaf
 _N_STATES = 2**14  # at which a refusal looks for a claim that fails, and corners of the box
 
 
@@ -83,11 +84,12 @@ def certify_fixed_point(
         else:
             # What the roundings of inputs add in any case is no reason to search for less.
             enough = max_error or float(max(_of_inputs(fixed, policy, domain, wider)))
-            inner = certificate_of_leads(fixed.to_tree(), policy, wider, enough, max_regions)
+            n_regions = max_regions if max_error is not None else min(max_regions, _FEW_REGIONS)
+            inner = certificate_of_leads(fixed.to_tree(), policy, wider, enough, n_regions)
             if inner.max_error > allowed:
                 raise CertificateError(
                     f"the tree's label is proved where the network's lead is above {inner.max_error:.6g}, and "
-                    f"max_error is {max_error:.6g}: give more bits"
+                    f"max_error is {max_error:.6g}: give more bits or max_regions"
                 )
     return _completed(fixed, policy, domain, inner)
 
@@ -165,9 +167,23 @@ def verify_fixed_point(
     certificate: FixedPointCertificate, tree: FixedPointTree, network: Policy, *, max_seconds: float | None = None
 ) -> float:
     """Check a certificate of a tree in fixed point, without a solver, and return the bound, `max_error`."""
-    policy, box, inner = checked_policy(tree, network), certificate.box, certificate.certificate
+    policy = checked_policy(tree, network)
     if digest_of(tree) != certificate.digest:
         raise _refused(certificate, tree, policy)
+    try:
+        return _verified(certificate, tree, policy, max_seconds)
+    except (ArithmeticError, IndexError, ValueError) as error:  # of sides, sizes or numbers that are none
+        raise CertificateError(f"the certificate does not fit the tree: {error}") from error
+
+
+def _verified(
+    certificate: FixedPointCertificate,
+    tree: FixedPointTree,
+    policy: ReluNetwork | ObliqueTree,
+    max_seconds: float | None,
+) -> float:
+    box, inner = certificate.box, certificate.certificate
+    box.require_bounded()
     if isinstance(policy, ReluNetwork):
         wider = wider_box(box, input_roundings(tree, box))
         if inner is None or (inner.domain.low > wider.low).any() or (inner.domain.high < wider.high).any():
@@ -176,6 +192,7 @@ def verify_fixed_point(
         if rounded.labels is None:
             verify(inner, rounded, policy, max_seconds=max_seconds)
         else:
+            check_fit(inner, rounded, policy)
             LeadChecker(TreeAndNetwork(rounded, policy, inner.domain)).run(inner)
     proved = _completed(tree, policy, box, inner)
     if proved != certificate:

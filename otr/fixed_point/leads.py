@@ -20,7 +20,8 @@ from otr.core.arrays import BoolArray, FloatArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
-from otr.geometry.arrangement import Walk
+from otr.errors import TimeLimitError, TreeTooLargeError
+from otr.geometry.arrangement import Block, Walk
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.rational import Integers
 from otr.geometry.regions import chunks_of_leaves, leaf_rows
@@ -41,7 +42,8 @@ def certificate_of_leads(
 ) -> Certificate:
     """Return a certificate whose error is what `LeadChecker` bounds, of a tree with labels.
 
-    A leaf with a larger error than `enough` in one cell is divided into at most `max_regions` of the network's regions.
+    A leaf with a larger error than `enough` in one cell is divided into the network's regions in it, unless these are
+    more than `max_regions`, or no better.
     """
     pair, cells = TreeAndNetwork(tree, network, domain), list[Cell]()
     checker, walk = LeadChecker(pair), Walk(network, network.unit_form(), domain, max_regions)
@@ -61,21 +63,15 @@ def certificate_of_leads(
                 found[leaf] = [Cell(leaf, "", (), empty=as_sum(point))]
         errors = {leaf: checker.error(cell) for leaf, (cell,) in found.items()}
         start = start_of_walk(leaves, rows, signs, balls)
-        for of_neurons, of_tests in THIN:
-            start = start.take(np.array([errors[leaf] > enough for leaf in start.origin.tolist()], dtype=np.bool_))
-            if not len(start.origin):
-                break
-            walk.thin[: network.n_hidden] = of_neurons * enough / np.maximum(network.gains(), TINY)
-            walk.thin[network.n_hidden :] = of_tests * enough
-            divided: dict[int, list[Cell]] = {leaf: [] for leaf in start.origin.tolist()}
-            for block in walk.run(start):
-                states, sides = domain.unscaled(block.centres), block.signs[:, rows.n_rows :]
-                for leaf, x, outcomes, side in zip(block.origin.tolist(), states, block.outcomes, sides, strict=True):
-                    divided[leaf].append(_cell(pair, leaf, x, outcomes, tuple(np.flatnonzero(side).tolist())))
-            for leaf, of_leaf in divided.items():
-                error = max(map(checker.error, of_leaf))
-                if error < errors[leaf]:
-                    found[leaf], errors[leaf] = of_leaf, error
+        for at, leaf in enumerate(start.origin.tolist()):
+            for of_neurons, of_tests in THIN:
+                if errors[leaf] <= enough:
+                    break
+                walk.thin[: network.n_hidden] = of_neurons * enough / np.maximum(network.gains(), TINY)
+                walk.thin[network.n_hidden :] = of_tests * enough
+                divided = _divided(checker, walk, start.take(slice(at, at + 1)), rows.n_rows, errors[leaf])
+                if divided is not None:
+                    found[leaf], errors[leaf] = divided
         cells += chain(*found.values())
     whole = Certificate(domain, ANY_ERROR, tree.n_leaves, len(cells) * (1 + pair.n_tests), tuple(cells))
     return replace(whole, max_error=checker.run(whole))
@@ -99,6 +95,30 @@ class LeadChecker(Checker):
         errors = self._output_errors(short[:n])
         up, down = max(errors[::2]), max(errors[1::2])
         return sum(short[n:], Fraction(0)) + (up + down if len(errors) > 2 else max(up, down))
+
+
+def _divided(
+    checker: LeadChecker, walk: Walk, start: Block, first: int, error: Fraction
+) -> tuple[list[Cell], Fraction] | None:
+    """Return the cells of a leaf's regions, and their error; None where it is not below `error`, or they are too many.
+
+    `first` is the row of the network's first test.
+    """
+    cells, worst = list[Cell](), Fraction(0)
+    walk.n_found = 0
+    try:
+        for block in walk.run(start):
+            states, sides = walk.domain.unscaled(block.centres), block.signs[:, first:]
+            for leaf, x, outcomes, side in zip(block.origin.tolist(), states, block.outcomes, sides, strict=True):
+                cells.append(_cell(checker.pair, leaf, x, outcomes, tuple(np.flatnonzero(side).tolist())))
+                worst = max(worst, checker.error(cells[-1]))
+                if worst >= error:
+                    return None
+    except TimeLimitError:
+        raise
+    except TreeTooLargeError:
+        return None
+    return cells, worst
 
 
 def _cell(pair: TreeAndNetwork, leaf: int, x: FloatArray, outcomes: BoolArray, splits: tuple[int, ...] = ()) -> Cell:

@@ -76,7 +76,7 @@ def verify(certificate: Any, tree: Any, network: Any, *, max_seconds: float | No
     if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):
         names = ", ".join(type(each).__name__ for each in given)
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
-    _check_fit(certificate, tree, network)
+    check_fit(certificate, tree, network)
     checker = Checker(TreeAndNetwork(tree, network, certificate.domain, in_box=_is_in_box(certificate, tree, network)))
     with time_limit(max_seconds, checker.reached):
         try:
@@ -100,7 +100,8 @@ def _is_in_box(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork
     return not any(sides.intersection(each.rows) for each in sums)
 
 
-def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
+def check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
+    """Raise CertificateError unless a certificate is of a tree and a network of these sizes, and of a finite error."""
     domain = certificate.domain
     shapes = {(tree.n_inputs, tree.n_outputs), (network.n_inputs, network.n_outputs)}
     if shapes != {(domain.n_inputs, tree.n_outputs)} or tree.head != network.head:

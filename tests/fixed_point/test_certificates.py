@@ -199,6 +199,36 @@ def test_a_smaller_error_is_searched_for(tmp_path):
         otr.certify_fixed_point(fixed, network, BOX, max_error=0.3 * loose.certificate.max_error)
 
 
+def test_many_regions_in_a_leaf_leave_it_one_cell():
+    rng = np.random.default_rng(0)
+    network = otr.ReluNetwork(
+        [rng.normal(size=(32, 6)), rng.normal(size=(2, 32))],
+        [rng.normal(size=32), rng.normal(size=2)],
+        head=otr.Argmax(),
+    )
+    tree = otr.parse_program("if x0 <= 0: 0 else: 1", [f"x{i}" for i in range(6)], labels=True, output_names=["0", "1"])
+    tree = tree.replace(M=np.zeros((2, 2, 6)), c=np.eye(2))
+    fixed = otr.to_fixed_point(tree, (-1, 1), 16)
+    proof = otr.certify_fixed_point(fixed, network, (-1, 1))
+    assert len(proof.certificate.cells) == 2 and proof.max_error > 1
+    with pytest.raises(otr.CertificateError, match="give more bits or max_regions"):
+        otr.certify_fixed_point(fixed, network, (-1, 1), max_error=0.1, max_regions=16)
+
+
+@pytest.mark.parametrize("head", ["argmax", "clip_box"])
+def test_a_damaged_certificate_is_refused_as_one(head):
+    network = make_network(np.random.default_rng(0), (4,), n_inputs=2, n_outputs=2, head=head)
+    fixed = otr.to_fixed_point(otr.map_network(network), BOX, 12)
+    proof = otr.certify_fixed_point(fixed, network, BOX)
+    inner, wide = proof.certificate, otr.Domain([-np.inf, -2], [np.inf, 2])
+    damaged = [{"max_errors": ()}, {"box": wide}, {"box": otr.Domain([-2] * 3, [2] * 3)}]
+    damaged += [{"certificate": replace(inner, **part)} for part in ({"max_error": np.inf}, {"max_error": np.nan})]
+    damaged += [{"certificate": replace(inner, n_leaves=77)}, {"certificate": replace(inner, domain=wide)}]
+    for part in damaged:
+        with pytest.raises(otr.CertificateError):
+            otr.verify(replace(proof, **part), fixed, network)
+
+
 def test_a_new_process_checks_what_was_saved(tmp_path):
     tree = otr.map_network(make_network(np.random.default_rng(2), (3,), n_inputs=2, head="clip_box"))
     fixed = otr.to_fixed_point(tree, BOX, 12)

@@ -101,6 +101,11 @@ def test_a_plain_main_answers_integers_that_it_reads(name: str, tmp_path: Path) 
     printed = subprocess.run([str(tmp_path / "main")], input=given, capture_output=True, text=True, check=True).stdout
     answers = np.array([line.split() for line in printed.splitlines()], dtype=int)
     np.testing.assert_array_equal(answers, fixed.predict_integers(Q).reshape(len(Q), -1))
+    beyond = [100_000, -100_000] * (fixed.n_inputs // 2 + 1)  # no int16_t
+    given = " ".join(map(str, beyond[: fixed.n_inputs]))
+    printed = subprocess.run([str(tmp_path / "main")], input=given, capture_output=True, text=True, check=True).stdout
+    held = np.clip(beyond[: fixed.n_inputs], fixed.input_low, fixed.input_high)
+    assert [int(word) for word in printed.split()] == fixed.predict_integers(held[None]).ravel().tolist()
 
 
 def test_python_of_integers_alone() -> None:

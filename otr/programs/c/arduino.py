@@ -19,6 +19,11 @@ def arduino_sketch(
     """Return a sketch that reads the inputs as a line of integers and prints the answers, to be replaced by sensors."""
     code = to_c(fixed, name=name, feature_names=feature_names, output_names=output_names)
     labelled, d, o = give_labels(fixed.to_tree()), fixed.n_inputs, fixed.n_outputs
+    word = f"int{fixed.input_bits}_t"
+    most = 2 ** (fixed.input_bits - 1) - 1
+    held = (
+        f"read < -{most}L - 1L ? -{most}L - 1L : read > {most}L ? {most}L : read" if fixed.input_bits < 32 else "read"
+    )
     declared = [] if labelled else [f"    int{fixed.accumulator_bits}_t y[{o}];"]
     printed = (
         [f"    Serial.println({name}_label(x));"]
@@ -40,13 +45,14 @@ def arduino_sketch(
         "",
         "void loop()  /* replace what reads x by your sensors, and what prints by your actuators */",
         "{",
-        f"    int{fixed.input_bits}_t x[{d}];",
+        f"    {word} x[{d}];",
         *declared,
         "    int k;",
         f"    for (k = 0; k < {d}; k++) {{",
         "        while (!Serial.available())",
         "            ;",
-        f"        x[k] = (int{fixed.input_bits}_t)Serial.parseInt();",
+        "        long read = Serial.parseInt();",
+        f"        x[k] = ({word})({held});",
         "    }",
         *printed,
         "}",

@@ -385,6 +385,7 @@ def _main(code: FixedCode) -> list[str]:
     """Return a main() that answers integers from the standard input, under name_MAIN."""
     d, o = code.fixed.n_inputs, 1 if code.gives_labels else code.fixed.n_outputs
     answered = f"y[0] = {code.name}_label(x);" if code.gives_labels else f"{code.name}(x, y);"
+    least, most = (f"INT{code.fixed.input_bits}_{end}" for end in ("MIN", "MAX"))
     return [
         "",
         f"#ifdef {code.name.upper()}_MAIN  /* replace what reads by your sensors, what prints by your actuators */",
@@ -400,7 +401,7 @@ def _main(code: FixedCode) -> list[str]:
         f"        for (k = 0; k < {d}; k++) {{",
         '            if (scanf("%ld", &read) != 1)',
         "                return 0;",
-        f"            x[k] = ({code.input_type})read;",
+        f"            x[k] = ({code.input_type})(read < {least} ? {least} : read > {most} ? {most} : read);",
         "        }",
         f"        {answered}",
         f"        for (k = 0; k < {o}; k++)",

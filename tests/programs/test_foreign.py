@@ -115,6 +115,17 @@ def test_scikit_learns_regressors(export, digits, n_outputs):
     np.testing.assert_allclose(tree.predict(X), model.predict(X).reshape(len(X), -1), atol=1e-12)
 
 
+@pytest.mark.parametrize("names", [["x", "x ", " x", "x  "], ["x  ", " x", "x ", "x"]])
+@pytest.mark.parametrize("export", [export_text, export_graphviz])
+def test_scikit_learns_names_that_differ_by_spaces(export, names):
+    X = np.random.default_rng(0).normal(size=(200, 4))
+    model = DecisionTreeRegressor(max_leaf_nodes=8, random_state=0).fit(X, X @ [1.0, 2.0, 3.0, 4.0])
+    tree = otr.parse_program(export(model, feature_names=names), names)
+    used, counts = np.unique(model.tree_.feature[model.tree_.feature >= 0], return_counts=True)
+    assert len(used) > 1
+    np.testing.assert_array_equal((tree.P != 0).sum(axis=0)[used], counts)
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -26,7 +26,7 @@ _TEXT_LINE = re.compile(r"((?:\|   )*)\|--- (.*)")
 _NODE = re.compile(r'\s*"?(\w+)"?\s*\[(.*)\]\s*;?\s*')
 _EDGE = re.compile(r'\s*"?(\w+)"?\s*->\s*"?(\w+)"?\s*(?:\[(.*)\])?\s*;?\s*')
 _LABEL = re.compile(r'\blabel\s*=\s*(?:"((?:[^"\\]|\\.)*)"|<(.*)>)', re.DOTALL)
-_COMPARED = re.compile(r"(.+?)\s*(<=|>=|<|>)\s*([^<>=]+)")
+_COMPARED = re.compile(r"(.+?) ?(<=|>=|<|>)\s*([^<>=]+)")  # a name may end with spaces
 # A statement of DOT ends with a semicolon or its line, except in quotes or brackets.
 _IN_ANGLES, _IN_QUOTES = r"<(?:[^<>]|<[^<>]*>)*>", r'"(?:[^"\\]|\\.)*"'
 _STATEMENT = re.compile(rf'(?:{_IN_QUOTES}|\[(?:{_IN_QUOTES}|{_IN_ANGLES}|[^\]"<])*\]|[^;\n"\[])+')
@@ -255,10 +255,11 @@ def _answer(answer: str) -> str:
 
 def _test(content: str, features: Sequence[str]) -> str:
     """Return a test as an expression; one feature on its left may have any name."""
-    match = _COMPARED.fullmatch(content.strip())
+    match = _COMPARED.fullmatch(content)
     if match is None:
         return content
-    left, numbered = match[1], re.fullmatch(r"feature_(\d+)", match[1])
+    left = match[1] if match[1] in features else match[1].strip()
+    numbered = re.fullmatch(r"feature_(\d+)", left)
     if left in features:
         left = written(left)
     elif numbered:

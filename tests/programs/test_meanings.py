@@ -187,6 +187,8 @@ REFUSED = [
     (C_HEAD + "// a \\\n return 1;\n return x[0]; }", 1, "C's preprocessor is not run here"),
     ("if x <= 0:\n    return v // 2\nelse: return 1", 2, "// is a division that rounds down in Python"),
     ("return 3//2", 1, "begin a comment with #"),
+    ("/* a\n b */ return x // /* 2\n// */", 2, "// is a division"),
+    ("return x /* 2", 1, "expected a number"),
     ("return (x\n    // 2\n    + v)", 2, "// is a division"),
     ("u = 2 * x; w = u\nreturn w // 2", 2, "// is a division"),
     ("u = x // 2;\nreturn u;", 1, "// is a division"),
@@ -210,6 +212,9 @@ def test_another_meaning_is_refused_at_its_line(text: str, line: int, words: str
         C_HEAD + "if (x[0] > 0) { double u = 3; return u; } else { double u = 2; return u; } }",
         "double f(double *x, int n) { if (x[0] > 0) return 3; return max(2, 2); }",
         "if x > 0 {\n    return 3 // right\n} else {\n    return 4/2\n}",
+        "/* reads x[2] numbers */ double f(const double x[2]) { if (x[0] > 0) return 3; return 2; /* if (x[0] */ }",
+        f"#include <math.h> /* a\n * x[9] */\n{C_HEAD}\n  /* int u; */ if (x[0] > 0)\n    return/**/3;\nreturn 2; }}",
+        "if x > 0: 3 # not /* here\nelse: 2 /* :\n else */",
         "u = 1/2\nif 0 < x <= 9 then 6 u else 4 u",
         "def f(x, v):\n    u = 1; w = u / 2\n    return 6 * w if not x <= 0 else 4 * w",
     ],
@@ -224,3 +229,8 @@ def test_a_label_of_a_function_of_integers_may_have_a_name() -> None:
     text = "action f(const double *x) { if (x[0] > 0) return fire; return coast; }"
     tree = otr.parse_program(text, NAMES, labels=True, output_names=["coast", "fire"])
     assert tree.predict([[1.0, 0.0], [-1.0, 0.0]]).tolist() == [1, 0]
+
+
+def test_what_looks_like_a_comment_in_a_name_is_none() -> None:
+    assert otr.parse_program("2 a /*b + `/*`", ["a /*b", "/*"]).predict([1.0, 10.0]) == [12.0]
+    assert otr.parse_program("2 `x*/` /* ` */ + `c`", ["x*/", "c"]).predict([1.0, 10.0]) == [12.0]

@@ -19,6 +19,7 @@ _C = re.compile(r"(?m)^[ \t]*(?:[A-Za-z_]\w*[ \t*]+)+?(\w+)[ \t]*\(([^()]*)\)\s*
 _TYPE = r"\b(?:const\s+)?(?:float|double|int)\s+"
 _INTEGER = re.compile(r"\b(?:u?int\w*|long|short|char|signed|unsigned|_?[Bb]ool|size_t)\b(?!.*\bdouble\b)")
 _LEFT_ALONE = rf"{QUOTED}|(?:#|//).*"
+_BLOCK_COMMENT = re.compile(rf"{QUOTED}|//.*|#(?!include\b).*|(/\*[\s\S]*?\*/)")
 _SCOPED = re.compile(rf"{_LEFT_ALONE}|[{{}}]|\b(float|double|int)\s+(\w+)\s*(?:;|=)")
 _INDEXED = re.compile(rf"{_LEFT_ALONE}|(?<![\w.])([A-Za-z_]\w*)[ \t]*\[[ \t]*(0|[1-9]\d*)[ \t]*\](\s*=(?!=))?")
 _FLOAT = re.compile(rf"{_LEFT_ALONE}|(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[fF]\b")
@@ -44,7 +45,7 @@ class Translation:
 
 
 def in_our_words(text: str, features: Sequence[str], outputs: Sequence[str] | None) -> Translation:
-    """Return a program's text as `parse_program` reads it, or the text itself where it is that.
+    """Return a program's text as `parse_program` reads it, or the text itself where it is that, without ``/* */``.
 
     ``x[2]`` of any one array is the third feature, as is ``feature_2``, and ``result[0] = 1`` gives the first output
     its value.
@@ -59,6 +60,8 @@ def in_our_words(text: str, features: Sequence[str], outputs: Sequence[str] | No
     elif re.match(r"\s*\|--- ", text):
         text = "\n".join(_text_line(line, number, features) for number, line in enumerate(text.split("\n"), start=1))
     else:
+        if not any("/*" in name for name in (*features, *(outputs or ()))):
+            text = _BLOCK_COMMENT.sub(lambda match: re.sub(r"\S", " ", match[0]) if match[1] else match[0], text)
         translation = _without_functions(text, features)
         text = translation.text
     names = (*features, *(outputs or ()), *re.findall(r"\b([fF])\s*:?=(?!=)", text))

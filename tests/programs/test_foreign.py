@@ -115,6 +115,18 @@ def test_scikit_learns_regressors(export, digits, n_outputs):
     np.testing.assert_allclose(tree.predict(X), model.predict(X).reshape(len(X), -1), atol=1e-12)
 
 
+@pytest.mark.parametrize("classes", [[-1, 1], ["0.5", "1.0", "1e-05"], [1, 2, 4], [1, 0]])
+@pytest.mark.parametrize("export", [export_text, export_graphviz])
+def test_scikit_learns_classes_that_are_numbers(export, classes):
+    X = np.random.default_rng(0).normal(size=(200, 2))
+    y = np.digitize(X[:, 0] + X[:, 1], [0, 1][: len(classes) - 1])
+    model = DecisionTreeClassifier(max_depth=3, random_state=0).fit(X, np.array(classes)[y])
+    names = [str(each) for each in model.classes_]
+    text = export(model, feature_names=["x", "v"], class_names=None if export is export_text else names)
+    tree = otr.parse_program(text, ["x", "v"], labels=True, output_names=names)
+    assert np.mean(model.classes_[tree.predict(X)] == model.predict(X)) > 0.98  # of tests that are printed rounded
+
+
 @pytest.mark.parametrize("names", [["x", "x ", " x", "x  "], ["x  ", " x", "x ", "x"]])
 @pytest.mark.parametrize("export", [export_text, export_graphviz])
 def test_scikit_learns_names_that_differ_by_spaces(export, names):

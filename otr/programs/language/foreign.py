@@ -56,9 +56,10 @@ def in_our_words(text: str, features: Sequence[str], outputs: Sequence[str] | No
     """
     translation = Translation(text)
     if re.match(r"\s*(?:strict\s+)?digraph\b", text):
-        text = _dot(text, features)
+        text = _dot(text, features, outputs or ())
     elif re.match(r"\s*\|--- ", text):
-        text = "\n".join(_text_line(line, number, features) for number, line in enumerate(text.split("\n"), start=1))
+        lines = enumerate(text.split("\n"), start=1)
+        text = "\n".join(_text_line(line, number, features, outputs or ()) for number, line in lines)
     else:
         if not any("/*" in name for name in (*features, *(outputs or ()))):
             text = _BLOCK_COMMENT.sub(lambda match: re.sub(r"\S", " ", match[0]) if match[1] else match[0], text)
@@ -164,7 +165,7 @@ def _without_indices(text: str, features: Sequence[str], outputs: Sequence[str] 
     return text, arrays.get(True, "")
 
 
-def _text_line(line: str, number: int, features: Sequence[str]) -> str:
+def _text_line(line: str, number: int, features: Sequence[str], outputs: Sequence[str]) -> str:
     """Return a line of scikit-learn's `export_text`: a test is `if`, what it tests again is `else`."""
     match = _TEXT_LINE.fullmatch(line.rstrip())
     if match is None:
@@ -174,12 +175,12 @@ def _text_line(line: str, number: int, features: Sequence[str]) -> str:
         raise ProgramError("the tree was cut when it was printed; give export_text a larger max_depth", number, 1, line)
     answer = re.fullmatch(r"(?:weights: \[.*\] )?(?:class|value): (.*)", content)
     if answer:
-        return f"{indent}return {_answer(answer[1])}"
+        return f"{indent}return {_answer(answer[1], outputs)}"
     test = _test(content, features)
     return f"{indent}else:" if re.fullmatch(r".* > +\S+", content) else f"{indent}if {test}:"
 
 
-def _dot(text: str, features: Sequence[str]) -> str:
+def _dot(text: str, features: Sequence[str], outputs: Sequence[str]) -> str:
     """Return the program of a tree in DOT: a node's first edge, or that called True, is where its test holds."""
     labels: dict[str, tuple[str, int]] = {}  # and where the node is
     edges: dict[str, list[tuple[str, str]]] = {}
@@ -210,7 +211,7 @@ def _dot(text: str, features: Sequence[str]) -> str:
         seen.add(name)
         children = edges.get(name, [])
         if not children:
-            lines.append(f"{indent}return {_leaf(label, text, place)}")
+            lines.append(f"{indent}return {_leaf(label, outputs, text, place)}")
             continue
         if len(children) != 2:
             _refuse(f"node {name} has {len(children)} edges; a test has two", text, place)
@@ -235,22 +236,24 @@ def _first_test(label: str) -> str:
     return " ".join(lines[: n + 1])
 
 
-def _leaf(label: str, text: str, place: int) -> str:
+def _leaf(label: str, outputs: Sequence[str], text: str, place: int) -> str:
     """Return what a leaf answers: its class, or its values, of which a program of labels takes the largest."""
     called = re.search(r"(?m)^class = (.*)$", label)
     value = re.search(r"(?s)\bvalue = (.*?)(?:\nclass = |$)", label)
     if called:
-        return _answer(called[1])
+        return _answer(called[1], outputs)
     if value is None and label.lstrip().startswith(("[", "{")):
         _refuse(f"a leaf allows several answers, {label}; determinise the controller first", text, place)
     if value is None:
-        return _answer(label)
+        return _answer(label, outputs)
     numbers = ", ".join(re.findall(r"[-+]?[\d.]+(?:e[-+]?\d+)?", value[1]))
     return f"argmax({numbers})" if re.search(r"(?m)^(gini|entropy|log_loss) = ", label) and "," in numbers else numbers
 
 
-def _answer(answer: str) -> str:
-    """Return an answer's numbers without brackets, or its class."""
+def _answer(answer: str, outputs: Sequence[str]) -> str:
+    """Return an answer's numbers without brackets, or its class, which may be named as a number is."""
+    if answer in outputs:
+        return written(answer)
     inner = answer.strip().strip("[]()")
     is_numbers = re.fullmatch(r"[-+\d.eEfF,\s]+", inner) is not None
     return re.sub(r"\s*,\s*", ", ", inner) if is_numbers else written(answer.strip())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 from otr.programs.language.foreign import Translation
@@ -30,6 +30,7 @@ _INT = (-(2**31), 2**31 - 1)
 _FLOATING = frozenset(("float", "double", "void"))
 _DIRECTIVE = re.compile(r"#(?:if|ifdef|ifndef|define|undef|elif|else)\b")
 Part = Statement | Expression | BooleanExpression
+Range = tuple[float, float]
 
 
 def is_c(tokens: Sequence[Token], translation: Translation) -> bool:
@@ -88,13 +89,15 @@ def check_statements(
     Raises:
         ProgramError: has the place, and what to write.
     """
-    pending: list[Part] = [*reversed(block)]
-    while pending:
-        part = pending.pop()
-        reason = _no_answer(part, translation, labels, of_c) or (of_c and _other_in_c(part, translation.integers))
+    integers = dict.fromkeys(translation.integers, (0.0, 0.0))  # the least and the largest value of each
+    for part in _all_parts(block):
+        if isinstance(part, Assign) and part.name in integers and isinstance(part.value, Number):
+            low, high = integers[part.name]
+            integers[part.name] = min(low, part.value.value), max(high, part.value.value)
+    for part in _all_parts(block):
+        reason = _no_answer(part, translation, labels, of_c) or (of_c and _other_in_c(part, integers))
         if reason:
             raise source.error(reason, part.at)
-        pending += reversed([*_parts(part)])
 
 
 def _no_answer(part: Part, translation: Translation, labels: Collection[str], of_c: bool) -> str:
@@ -122,7 +125,7 @@ def _no_answer(part: Part, translation: Translation, labels: Collection[str], of
     return f"C makes this a value of type {kind}; write double, or integers from {low} to {high}"
 
 
-def _other_in_c(part: Part, integers: Collection[str]) -> str:
+def _other_in_c(part: Part, integers: Mapping[str, Range]) -> str:
     """Return why C computes something else; "" where it does not."""
     if isinstance(part, Comparison) and len(part.signs) > 1:
         return "C compares the 0 or 1 of the first comparison with what follows; write a <= x && x <= b"
@@ -130,6 +133,8 @@ def _other_in_c(part: Part, integers: Collection[str]) -> str:
         return "abs rounds to an integer in C; write fabs"
     if isinstance(part, Chain) and _divides_integers(part, integers):
         return "C rounds the quotient of two integers; write one as 2.0, or the value"
+    if isinstance(part, Chain) and _overflows(part, integers):
+        return "this may overflow an int of C; write a number of it as 100000.0, or double"
     if isinstance(part, Assign) and part.name in integers and not _is_integer_in(part.value, *_INT):
         return f"{part.name!r} is an int, to which C rounds its value; write double {part.name}"
     return ""
@@ -152,31 +157,58 @@ def _is_integer_in(value: Expression, low: int, high: int) -> bool:
     return isinstance(value, Number) and value.value.is_integer() and low <= value.value <= high
 
 
-def _divides_integers(chain: Chain, integers: Collection[str]) -> bool:
+def _divides_integers(chain: Chain, integers: Mapping[str, Range]) -> bool:
     """Return whether a product divides an integer of C's by another."""
-    if not _is_integer(chain.first, integers):
-        return False
-    for operator, operand, _ in chain.rest:
-        if not _is_integer(operand, integers):
-            return False
-        if operator == "/":
-            return True
-    return False
-
-
-def _is_integer(value: Expression, integers: Collection[str]) -> bool:
-    """Return whether C has a value as an integer: an expression of integers alone."""
-    if isinstance(value, Number):
-        return value.is_integer
-    if isinstance(value, Name):
-        return value.text in integers
-    if isinstance(value, Chain):
-        return all(_is_integer(each, integers) for each in (value.first, *(operand for _, operand, _ in value.rest)))
-    return (
-        isinstance(value, Call)
-        and value.function in ("max", "min")
-        and all(_is_integer(each, integers) for each in value.arguments)
+    return any(
+        operator == "/" for (operator, _, _), _ in zip(chain.rest, _integer_results(chain, integers), strict=False)
     )
+
+
+def _overflows(chain: Chain, integers: Mapping[str, Range]) -> bool:
+    """Return whether a result of integers of C's may be no int."""
+    return any(not _INT[0] <= low <= high <= _INT[1] for low, high in _integer_results(chain, integers))
+
+
+def _integer_results(chain: Chain, integers: Mapping[str, Range]) -> Iterator[Range]:
+    """Yield the range of what each operator results in, from left to right, as long as C has integers."""
+    so_far = _range(chain.first, integers)
+    for operator, operand, _ in chain.rest:
+        other = _range(operand, integers)
+        if so_far is None or other is None:
+            return
+        if operator in "+-":
+            low, high = other if operator == "+" else (-other[1], -other[0])
+            so_far = so_far[0] + low, so_far[1] + high
+        elif operator == "*":
+            products = [a * b for a in so_far for b in other]
+            so_far = min(products), max(products)
+        yield so_far
+
+
+def _range(value: Expression, integers: Mapping[str, Range]) -> Range | None:
+    """Return the least and the largest value of an integer of C's, an expression of integers alone; else None."""
+    if isinstance(value, Number):
+        return (value.value, value.value) if value.is_integer else None
+    if isinstance(value, Name):
+        return integers.get(value.text)
+    if isinstance(value, Chain):
+        results = [*_integer_results(value, integers)]
+        return results[-1] if len(results) == len(value.rest) else None
+    if not isinstance(value, Call) or value.function not in ("max", "min"):
+        return None
+    ranges = [each for argument in value.arguments if (each := _range(argument, integers))]
+    if len(ranges) < len(value.arguments):
+        return None
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+
+def _all_parts(block: Statements) -> Iterator[Part]:
+    """Yield the statements of a block and all that they are made of, in the order of the text."""
+    pending: list[Part] = [*reversed(block)]
+    while pending:
+        part = pending.pop()
+        yield part
+        pending += reversed([*_parts(part)])
 
 
 def _parts(part: Part) -> Iterator[Part]:

@@ -11,7 +11,7 @@ from otr.programs.language.lowering import Lowering
 from otr.programs.language.meanings import check_statements, check_tokens, is_c
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
-from otr.programs.language.tokens import Source, tokenize
+from otr.programs.language.tokens import Source, check_indentation, tokenize
 from otr.programs.names import check_names
 
 
@@ -89,6 +89,8 @@ def parse_program(
     source = Source(translation.text)
     tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
     of_c = is_c(tokens, translation)
+    if not of_c:
+        check_indentation(source, tokens)
     check_tokens(source, tokens, of_c)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names, () if labels else output_names or ())

@@ -223,6 +223,8 @@ def test_another_meaning_is_refused_at_its_line(text: str, line: int, words: str
         C_HEAD + "int k = 46340; if (x[0] > 0) return 3 + 0 * x[0] * k * k * k; return k * k - 2147395600 + 2; }",
         C_HEAD + "int k = -3; if (x[0] > 0) return -k; return 3000000000 * 0.0 + 100000.0 * 100000 - 9999999998; }",
         "u = 100000 * 100000 / 1e10\nif x > 0 then 3 u else 2 u",
+        "double f(double x, double v) {\n\tif (x > 0)\n        return 3;\n \t/* so */ return 2;\n}",
+        "if (x > 0)\n\treturn 3\n  + 0;\nelse\n        return 2;",
         "if x > 0: 3 # not /* here\nelse: 2 /* :\n else */",
         "u = 1/2\nif 0 < x <= 9 then 6 u else 4 u",
         "def f(x, v):\n    u = 1; w = u / 2\n    return 6 * w if not x <= 0 else 4 * w",

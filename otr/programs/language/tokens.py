@@ -103,12 +103,10 @@ def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -
 
     One of the `names` that is no word, such as ``left contact``, is found wherever it occurs as a whole, and the
     longest of several is taken; but where its text is an expression of other names, such as ``x - 1``, it is that, and
-    the name is found between backquotes alone. Raise ProgramError where a character belongs to nothing, or tabs and
-    spaces indent lines of one program.
+    the name is found between backquotes alone. Raise ProgramError where a character belongs to nothing.
     """
     pattern = _pattern(_found_bare(names, functions))
     tokens: list[Token] = []
-    indented_by: dict[str, int] = {}  # the first line that each character indents
     for number, line in enumerate(source.lines, start=1):
         column, indent = 0, 0
         while column < len(line):
@@ -119,9 +117,7 @@ def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -
             if match.lastgroup == "comment":
                 source.comments.append((len(tokens), match.group(), at))
             elif match.lastgroup != "space":
-                if not indent:
-                    indent = column + 1
-                    _check_indentation(source, line[:column], number, indented_by)
+                indent = indent or column + 1
                 tokens.append(_token(match, at, indent))
             column = match.end()
     last = tokens[-1] if tokens else None
@@ -191,12 +187,20 @@ def _token(match: re.Match[str], at: Place, indent: int) -> Token:
     return Token("name" if match.lastgroup == "word" else "symbol", usual, at, end, indent)
 
 
-def _check_indentation(source: Source, margin: str, line: int, indented_by: dict[str, int]) -> None:
-    """Refuse tabs mixed with spaces: which line is indented more would depend on the reader's editor."""
-    for character in dict.fromkeys(margin):  # there may be thousands of spaces
-        indented_by.setdefault(character, line)
-    if len(indented_by) > 1:
-        other = next(first for character, first in indented_by.items() if first != line or character != margin[0])
-        raise source.error(
-            f"tabs and spaces indent this program's lines (see line {other}); use one of them", Place(line, 1)
-        )
+def check_indentation(source: Source, tokens: Sequence[Token]) -> None:
+    """Refuse tabs mixed with spaces: which line is indented more would depend on the reader's editor.
+
+    Raises:
+        ProgramError: has the line, and another that is indented otherwise.
+    """
+    indented_by: dict[str, int] = {}  # the first line that each character indents
+    for token in tokens:
+        line, n = token.at.line, token.indent - 1 if token.is_first else 0
+        margin = source.lines[line - 1][:n]
+        for character in dict.fromkeys(margin):  # there may be thousands of spaces
+            indented_by.setdefault(character, line)
+        if len(indented_by) > 1:
+            other = next(first for character, first in indented_by.items() if first != line or character != margin[0])
+            raise source.error(
+                f"tabs and spaces indent this program's lines (see line {other}); use one of them", Place(line, 1)
+            )

@@ -203,8 +203,11 @@ class Evaluator:
             "clip": self._clip,
             "exp": self._exp,
             "fabs": self._abs,
+            "fabsf": self._abs,
             "fmax": self._extreme,
+            "fmaxf": self._extreme,
             "fmin": self._extreme,
+            "fminf": self._extreme,
             "max": self._extreme,
             "min": self._extreme,
             "tanh": self._tanh,
@@ -253,7 +256,7 @@ class Evaluator:
         return worth
 
     def _better(self, path: Path, first: Value, second: Value, node: Call) -> Worth:
-        is_max = node.function in ("max", "fmax")
+        is_max = node.function in ("max", "fmax", "fmaxf")
         if isinstance(first, Affine) and first.is_constant:
             first, second = second, first
         if isinstance(first, Affine | Clipped) and isinstance(second, Affine) and second.is_constant:

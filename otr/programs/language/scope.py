@@ -14,8 +14,11 @@ FUNCTIONS = {
     "clip": (3, 3),
     "exp": (1, 1),
     "fabs": (1, 1),  # C's names of abs, max and min
+    "fabsf": (1, 1),
     "fmax": (2, 2),
+    "fmaxf": (2, 2),
     "fmin": (2, 2),
+    "fminf": (2, 2),
     "max": (1, None),
     "min": (1, None),
     "tanh": (1, 1),

@@ -113,7 +113,8 @@ def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -
             at = Place(number, column + 1)
             match = pattern.match(line, column)
             if match is None:
-                raise source.error(f"the character {line[column]!r} has no meaning here", at)
+                hint = "; write a if ... else b" if line[column] == "?" else ""
+                raise source.error(f"the character {line[column]!r} has no meaning here{hint}", at)
             if match.lastgroup == "comment":
                 source.comments.append((len(tokens), match.group(), at))
             elif match.lastgroup != "space":

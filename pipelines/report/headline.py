@@ -3,6 +3,7 @@
 `python -m pipelines.report.headline` writes it between README's two marks.
 """
 
+import math
 import re
 from pathlib import Path
 
@@ -48,9 +49,12 @@ def _runs_of(runs: pd.DataFrame, task: str, method: str, depth: str, cell: "pd.S
 
 
 def spread(mean: float, std: float) -> str:
-    """Return a mean and its deviation, such as 3,454 ± 144, with as many decimals as its size needs."""
+    """Return a mean and its deviation, such as 3,454 ± 144, with as many decimals as its size needs.
+
+    Of one run there is no deviation, NaN.
+    """
     digits = _decimals(mean)
-    return f"{mean:,.{digits}f} ± {std:,.{digits}f}"
+    return f"{mean:,.{digits}f}" + ("" if math.isnan(std) else f" ± {std:,.{digits}f}")
 
 
 def _decimals(number: float) -> int:

@@ -29,6 +29,11 @@ def test_a_line_has_the_means_of_its_runs_and_of_those_they_are_compared_with():
     assert expected in lines
     (ndps,) = (line for line in lines if line[0] == "HalfCheetah, NDPS (6)")
     assert ndps[5] == "-"
+    linear = [read_json(RESULTS / f"runs/ant/linear/depth-0/standard-fleet/seed-{s}/summary.json") for s in range(3)]
+    returns = [each["return_mean"] for each in linear]
+    (line,) = (line for line in lines if line[0] == "Ant, linear (0)")
+    assert line[5:7] == [f"{statistics.mean(returns):,.0f} ± {statistics.stdev(returns):,.0f}", "-"]
+    assert not any("nan" in cell for line in lines for cell in line)
 
 
 def test_where_sac_was_not_run_from_nothing_is_by_search():

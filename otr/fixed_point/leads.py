@@ -29,7 +29,7 @@ from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import as_sum, decide_in
 from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork
 from otr.proof.float_cells import start_of_walk, with_smallest_bounds
-from otr.proof.verify import Checker, bits
+from otr.proof.verify import Checker, bits, proved_tests
 
 ANY_ERROR = 1e300  # that no proof has
 TINY = 1e-100
@@ -90,7 +90,7 @@ class LeadChecker(Checker):
         if cell.near or self.pair.label(outcomes) != self.pair.tree.labels[cell.leaf]:
             return INFINITE
         n, short = self.pair.network.n_hidden, [Fraction(0)] * self.pair.n_tests
-        for test, proof in zip(_without(cell.splits, self.pair.n_tests), cell.proofs, strict=True):
+        for test, proof in zip(proved_tests(cell), cell.proofs, strict=True):
             short[test] = max(self.shortfall(cell.leaf, turned[test], proof, rows), Fraction(0))
         errors = self._output_errors(short[:n])
         up, down = max(errors[::2]), max(errors[1::2])
@@ -137,7 +137,3 @@ def _cell(pair: TreeAndNetwork, leaf: int, x: FloatArray, outcomes: BoolArray, s
     all_outcomes[list(splits)] = outcomes[list(splits)]
     text = "".join("1" if outcome else "0" for outcome in all_outcomes)
     return with_smallest_bounds(pair, Cell(leaf, text, splits, (Sum((), ()),) * (pair.n_tests - len(splits))))[0]
-
-
-def _without(splits: tuple[int, ...], n_tests: int) -> list[int]:
-    return [test for test in range(n_tests) if test not in splits]

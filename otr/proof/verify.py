@@ -170,7 +170,7 @@ class Checker:
         if pair.tree.labels is not None:
             return self._distance(cell, rows, turned)
         shortfalls = [Fraction(0)] * len(turned)
-        for test, proof in zip(_fixed(cell), cell.proofs, strict=True):
+        for test, proof in zip(proved_tests(cell), cell.proofs, strict=True):
             shortfalls[test] = self.shortfall(cell.leaf, turned[test], proof, rows)
         differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]), outcomes)
         signed = [form for difference in differences for form in (difference, -difference)]
@@ -357,7 +357,7 @@ class Checker:
             and (self.pair.tree.labels is None or len(cell.bounds) in (0, len(self.pair.sides)))
         )
         if cell.empty is None:
-            well_formed = well_formed and n_outcomes == n_tests and len(cell.proofs) == len(list(_fixed(cell)))
+            well_formed = well_formed and n_outcomes == n_tests and len(cell.proofs) == len(list(proved_tests(cell)))
         else:
             well_formed = well_formed and n_outcomes <= n_tests
         if not well_formed:
@@ -382,14 +382,14 @@ def bits(outcomes: str) -> list[bool]:
     return [outcome == "1" for outcome in outcomes]
 
 
-def _fixed(cell: Cell) -> list[int]:
+def proved_tests(cell: Cell) -> list[int]:
     """Return the tests that have a proof."""
     return [test for test in range(len(cell.outcomes)) if cell.near or test not in cell.splits]
 
 
 def _proofs(cell: Cell, n_tests: int) -> list[tuple[int, Sum]]:
     """Return the sums of a cell with labels: by test, and by n_tests + the number of a side of the domain."""
-    return [*zip(_fixed(cell), cell.proofs, strict=True), *enumerate(cell.bounds, n_tests)]
+    return [*zip(proved_tests(cell), cell.proofs, strict=True), *enumerate(cell.bounds, n_tests)]
 
 
 def _has_strict_row(terms: Sum, rows: dict[str, ExactRow]) -> bool:

@@ -47,9 +47,9 @@ def test_paths_are_quoted_and_nothing_else():
 
 
 def test_the_home_folder_is_spelt_out(monkeypatch):
-    monkeypatch.setenv("HOME", "/home/me")
+    monkeypatch.setenv("HOME", "/me")
     words = ["out=~/a.txt", "model=~/my a.zip,~/b.zip", "results_dir=~/runs", "name=~x", "program=s~1/p.txt"]
-    there = ["out=/home/me/a.txt", "model='/home/me/my a.zip',/home/me/b.zip", "results_dir=/home/me/runs"]
+    there = ["out=/me/a.txt", "model='/me/my a.zip',/me/b.zip", "results_dir=/me/runs"]
     assert asked(argparse.Namespace(overrides=words)) == [*there, "name=~x", "program='s~1/p.txt'"]
 
 

@@ -46,6 +46,7 @@ def test_scores_and_predictions_are_those_of_the_kept_tree(fit_of):
     assert float(row["test"]) == pytest.approx(summary["test"])
     assert (int(row["leaves"]), int(row["depth"])) == (tree.n_leaves, tree.depth)
     predictions = np.load(job.run_dir / "score" / "predictions.npz")
+    assert all(predictions[name].dtype == np.float64 for name in predictions)
     for name, each in (("test", tree), ("whole", whole)):
         assert np.allclose(predictions[name][:, 0], each.forward(dataset.test.X)[:, 0], rtol=1e-6)
     assert (predictions["labels"] == dataset.test.Y).all()
@@ -205,7 +206,7 @@ def test_a_label_of_one_class_in_a_fold_is_left_out_there(fit_of, monkeypatch, t
 def test_a_class_of_few_rows_is_in_the_training_rows_of_every_fold(fit_of, monkeypatch, tmp_path):
     dataset = load_dataset("breast_cancer")
     Y = dataset.train.Y.copy()
-    Y[:3] = 2  # beside one another: without strata all in one fold
+    Y[:3] = 2  # in one fold, if folds had no strata
     three = dataclasses.replace(dataset, train=dataclasses.replace(dataset.train, Y=Y))
     folds = three.folds()
     assert all(len(np.unique(fold.train.Y)) == 3 for fold in folds)

@@ -247,10 +247,6 @@ class PolishSettings(SearchSettings):
     free: bool = False
 
 
-# What an actor climbs: the lesser of two critics' values, or their mean
-ActorValue = Annotated[str, OneOf("min", "mean"), AsBefore("min")]
-
-
 @dataclass(frozen=True)
 class CriticPolishSettings:
     """Of a polish by critics: the soft actor-critic goes on with the finished policy in the actor's place.
@@ -266,7 +262,6 @@ class CriticPolishSettings:
             learning rates fall. 0 for no more than it has.
         bounds_values: whether critics learn towards no more than the highest discounted sum of rewards that was played.
         batch_size: transitions an update.
-        actor_value: what the policy climbs, the critics' "min" or their "mean".
     """
 
     steps: Count = 100_000
@@ -278,4 +273,3 @@ class CriticPolishSettings:
     first_neurons: Annotated[CountOrZero, AsBefore(0)] = 64
     bounds_values: Annotated[bool, AsBefore(False)] = True
     batch_size: Count = 100
-    actor_value: ActorValue = "min"

@@ -33,7 +33,6 @@ class Critics:
         log_temperature: of the soft actor-critic; None where the values are without an entropy.
         log_std: rows [weights | offset] (n_actions, h + 1) of the actor's logarithms of deviations, which read what its
             last layer reads; None for an actor without.
-        layer_norm: whether hidden layers are normalised before their activation, without gains (epsilon 1e-5).
     """
 
     layers: Layers
@@ -42,7 +41,6 @@ class Critics:
     negative_slope: float = 0.0
     log_temperature: float | None = None
     log_std: NDArray[Any] | None = None
-    layer_norm: bool = False
 
     @property
     def widths(self) -> tuple[int, ...]:

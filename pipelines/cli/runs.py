@@ -65,6 +65,9 @@ SETTINGS_OF = {
     for name in ("polishing", "certification", "simplification")
 }
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
+# Settings that finished runs may have and that no longer exist
+REMOVED = ("mp4", "trainer.environments", "trainer.precision", "algo.critic_learning_rate", "algo.critic_norm",
+           "algo.actor_value", "polishing.critic.actor_value")  # fmt: skip
 
 
 def _of_task(table: DictConfig, task: str, *names: str) -> Any:
@@ -87,15 +90,16 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
         cfg = DictConfig(OmegaConf.create(read_bytes(run_dir / CONFIG).decode()))
-        cfg.pop("mp4", None)  # a stage that no longer exists
+        for name in REMOVED:
+            parent, _, key = name.rpartition(".")
+            if isinstance(place := OmegaConf.select(cfg, parent) if parent else cfg, DictConfig):
+                place.pop(key, None)
         if "vec_normalize" in cfg.method:  # as it was called before other statistics were taken
             cfg.method.normalise = cfg.method.pop("vec_normalize")
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if isinstance(cfg.get("trainer"), DictConfig):  # there used to be a single trainer
-            for name in ("environments", "precision"):  # of fleets, once; what is left is gymnasium and fp32
-                cfg.trainer.pop(name, None)
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:

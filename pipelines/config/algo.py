@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from otr.control.settings import ActorValue, SearchSettings
+from otr.control.settings import SearchSettings
 from otr.setting import CountOrZero, LearningRate
 from pipelines.config.setting import (
     EXECUTION,
@@ -188,13 +188,7 @@ class SacConfig(ContinuousConfig):
     ent_coef: Annotated[
         str, Text(r"auto|([0-9]+\.?[0-9]*|\.[0-9]+)(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")
     ] = "auto"
-    # Of the critics; None is `learning_rate`, which then is the actor's and the temperature's
-    critic_learning_rate: Annotated[LearningRate | None, AsBefore(None)] = None
-    learning_rate_end: Annotated[float, Range(0, 1), AsBefore(1.0)] = 1.0  # share of both at the end, reached linearly
-    # "layer": each hidden layer of the critics is normalised before its activation (Ba et al. 2016), without gains
-    critic_norm: Annotated[str, OneOf("none", "layer"), AsBefore("none")] = "none"
-    # What the actor climbs: the lesser of the critics' values, or their mean (Mastikhina et al. 2025, for small actors)
-    actor_value: ActorValue = "min"
+    learning_rate_end: Annotated[float, Range(0, 1), AsBefore(1.0)] = 1.0  # share at the end, reached linearly
     actor_delay: Annotated[int, Range(1), AsBefore(1)] = 1  # updates of the critics for each of actor and temperature
 
     steps_per_s = 145.0

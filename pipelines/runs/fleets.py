@@ -9,8 +9,7 @@ from pipelines.engine.stage import part_of
 from pipelines.training.settings import TrainSettings, train_keys
 
 # What runs of a fleet may differ in: a row of each stack has its own.
-OWN_SETTINGS = ("learning_rate", "critic_learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise",
-                "action_noise_std")  # fmt: skip
+OWN_SETTINGS = ("learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise", "action_noise_std")
 
 
 def group_key(config: RunConfig) -> str:

@@ -28,7 +28,6 @@ def critics_file(critics: Critics) -> dict[str, bytes]:
         for kind, array in zip(("weight", "bias"), layer, strict=True)
     }
     numbers = {name: getattr(critics, name) for name in ("gamma", "negative_slope", "log_temperature", "log_std")}
-    numbers["layer_norm"] = critics.layer_norm or None
     tensors |= {name: np.array(value) for name, value in numbers.items() if value is not None}
     return {CRITICS: safetensors_bytes({name: np.asarray(each, np.float32, "C") for name, each in tensors.items()})}
 
@@ -55,6 +54,6 @@ def load_critics(folder: Path) -> Critics:
         )
         gamma, slope = float(found["gamma"]), float(found["negative_slope"])
         temperature = float(found["log_temperature"]) if "log_temperature" in found else None
-        return Critics(layers, targets, gamma, slope, temperature, found.get("log_std"), "layer_norm" in found)
+        return Critics(layers, targets, gamma, slope, temperature, found.get("log_std"))
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise corrupt(folder / CRITICS, error) from error

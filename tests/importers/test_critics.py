@@ -49,7 +49,6 @@ def test_values_are_those_of_stable_baselines3(algorithm: Any, tmp_path: Path) -
             np.testing.assert_allclose(values(layers, states, actions), expected, atol=1e-5)
     assert (critics.gamma, critics.negative_slope, critics.widths) == (0.9, 0.0, (8, 8))
     assert len(critics.layers[0][0]) == (1 if algorithm is DDPG else 2)
-    assert not critics.layer_norm
     assert (critics.log_temperature is None) == (critics.log_std is None) == (algorithm is not SAC)
 
 

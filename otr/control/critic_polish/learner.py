@@ -197,8 +197,7 @@ class CriticPolish:
         runs = [RunSettings(settings.learning_rate, critics.gamma)]
         shapes = Shapes(
             self._layout.n_inputs, self._layout.n_actions, (), critics.widths, settings.batch_size,
-            critics.negative_slope, clips=is_clipped(self._policy.head), layer_norm=critics.layer_norm,
-            actor_value=settings.actor_value,
+            critics.negative_slope, clips=is_clipped(self._policy.head),
         )  # fmt: skip
         learner = FleetSac(shapes, runs, actor=ModuleActors(runs, [self._actor]))
         for ours, theirs in ((learner.critics, critics.layers), (learner.targets, critics.targets)):

@@ -5,7 +5,7 @@ these small networks. It is the one that `torch.optim.Adam(fused=True)` calls.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -21,12 +21,6 @@ class RunSettings:
     gamma: float
     weight_decay: float = 0.0
     temperature: float | None = None
-    critic_learning_rate: float | None = None  # of the critics; None for the same
-
-    @property
-    def of_critics(self) -> "RunSettings":
-        """These settings with the critics' learning rate."""
-        return replace(self, learning_rate=self.critic_learning_rate or self.learning_rate)
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,6 @@ cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 
 With `dense`, layers after the first read the inputs in addition to the activations before them: concat(a, x), as in
 `otr.ReluNetwork` with `dense="input"`.
-
-With `layer_norm`, what a hidden layer's affine map gives for an input has mean 0 and variance 1 over the neurons before
-the activation (Ba et al. 2016). There are no learnt gains and offsets: the layer's weights and biases express them.
 """
 
 import itertools
@@ -20,8 +17,6 @@ import torch
 from torch import Tensor
 
 from otr.control.sac.stacked_tensors import multiply, new_flat, new_stack
-
-NORM_EPSILON = 1e-5  # added to variances, as torch's LayerNorm does
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,6 @@ class StackedMlp:
         negative_slope: 0 is ReLU.
         n_back_rows: how many inputs, the first ones, take part in `backward`; None for all.
         dense: whether layers after the first read the inputs, too.
-        layer_norm: whether hidden layers are normalised before their activation.
     """
 
     def __init__(
@@ -79,13 +73,11 @@ class StackedMlp:
         negative_slope: float = 0.0,
         n_back_rows: int | None = None,
         dense: bool = False,
-        layer_norm: bool = False,
     ) -> None:
         self.n_rows = n_rows
         self._n_networks = len(layers.flat)
         self._slope = negative_slope
         self._dense = dense
-        self._layer_norm = layer_norm
         self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
         self._stacks: dict[tuple[str, int], Tensor] = {}
         self._outputs = [self._stack("output", i, (n_rows, weight.shape[2])) for i, weight in enumerate(layers.weights)]
@@ -108,11 +100,7 @@ class StackedMlp:
         x = inputs
         last = len(self._outputs) - 1
         for i, (weight, bias, output) in enumerate(zip(layers.weights, layers.biases, self._outputs, strict=True)):
-            is_normed = self._layer_norm and i < last
-            affine = self._stack("affine", i, output.shape[1:]) if is_normed else output
-            torch.add(multiply(x, weight, affine), bias, out=affine)
-            if is_normed:
-                self._normalise(i, affine, output)
+            torch.add(multiply(x, weight, output), bias, out=output)
             if i < last:
                 self._activate(output)
                 x = self._read[i]
@@ -157,8 +145,6 @@ class StackedMlp:
             if i == 0:
                 return below
             self._activate_backward(below, output)
-            if self._layer_norm:
-                self._normalise_backward(i - 1, below)
             delta = below
         raise AssertionError("a network has layers")
 
@@ -167,24 +153,6 @@ class StackedMlp:
         if (use, layer) not in self._stacks:
             self._stacks[use, layer] = new_stack(self._n_networks, *shape)
         return self._stacks[use, layer]
-
-    def _normalise(self, i: int, values: Tensor, out: Tensor) -> None:
-        """Normalise what layer i's affine map gave, h, in place: z = (h - mean) / std; copy it into `out`."""
-        mean, inverse_std = (self._stack(use, i, (self.n_rows, 1)) for use in ("mean", "inverse std"))
-        values.sub_(torch.sum(values, 2, keepdim=True, out=mean).div_(values.shape[2]))
-        torch.linalg.vector_norm(values, dim=2, keepdim=True, out=inverse_std)
-        inverse_std.square_().div_(values.shape[2]).add_(NORM_EPSILON).rsqrt_()
-        out.copy_(values.mul_(inverse_std))
-
-    def _normalise_backward(self, i: int, delta: Tensor) -> None:
-        """Turn the derivative d by layer i's z, in place, into that by h: (d - mean(d) - z mean(d z)) / std."""
-        z, inverse_std = (self._stacks[use, i][:, : self._n_back_rows] for use in ("affine", "inverse std"))
-        shape, n_neurons = delta.shape[1:], delta.shape[2]
-        mean_d, mean_dz = (self._stack(use, i, (self._n_back_rows, 1)) for use in ("mean d", "mean dz"))
-        torch.sum(delta, 2, keepdim=True, out=mean_d).div_(n_neurons)
-        product = torch.mul(delta, z, out=self._stack("dz", i, shape))
-        torch.sum(product, 2, keepdim=True, out=mean_dz).div_(n_neurons)
-        delta.sub_(mean_d).sub_(torch.mul(z, mean_dz, out=product)).mul_(inverse_std)
 
     def _activate(self, values: Tensor) -> None:
         if self._slope == 0.0:

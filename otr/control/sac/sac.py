@@ -35,8 +35,6 @@ class Shapes:
     tau: float = 0.005  # share of the online critics that goes into their targets at each update
     dense: bool = False  # whether the actor's layers after the first read the state, too
     clips: bool = False  # whether actions are clipped to [-1, 1], in place of tanh
-    layer_norm: bool = False  # whether the critics' hidden layers are normalised (see `mlp`)
-    actor_value: str = "min"  # what the actor climbs: the min or the mean of the two critics' values
     actor_delay: int = 1  # updates of the critics for each of actor and temperature
 
 
@@ -79,11 +77,10 @@ class FleetSac:
         self._temperature_rows = temperature_rows
         self._rate_share = 1.0
         critic_stacks = [self.critics, self.critic_gradients, *self.critic_moments]
-        of_critics, flats = [run.of_critics for run in runs], [layers.flat for layers in critic_stacks]
-        self._critic_adam = adam_groups(of_critics, flats, n_updates, n_each=N_CRITICS)
+        self._critic_adam = adam_groups(runs, [layers.flat for layers in critic_stacks], n_updates, n_each=N_CRITICS)
         self._temperature_adam = adam_groups(runs, temperature_rows, n_actor_updates, decays=False)
 
-        self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope, layer_norm=shapes.layer_norm)
+        self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
         self._kind = ClippedActions if shapes.clips else SquashedActions
         self._actions = self._kind(n, 2 * rows, shapes.n_actions)
         self._acting: SquashedActions | None = None
@@ -215,11 +212,8 @@ class FleetSac:
         n, rows, d = len(self.runs), self.shapes.batch_size, self.shapes.n_inputs
         self._critic_inputs.view(n, N_CRITICS, rows, -1)[..., d:] = actions.unsqueeze(1)
         values, d_critics = self._values(self.critics, self._critic_inputs), self._d_critics.view(n, N_CRITICS, rows)
-        if self.shapes.actor_value == "mean":
-            d_critics.fill_(-1 / (N_CRITICS * rows))
-        else:
-            torch.mul(values[:, 0] <= values[:, 1], -1 / rows, out=d_critics[:, 0])
-            torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
+        torch.mul(values[:, 0] <= values[:, 1], -1 / rows, out=d_critics[:, 0])
+        torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
         d_actions = self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, None, d)
         assert d_actions is not None
         return d_actions.view(n, N_CRITICS, rows, -1).sum(1)

@@ -85,8 +85,7 @@ class FleetRun:
         """The learner's settings of this run alone."""
         algo = self.algo
         temperature = None if algo.ent_coef == "auto" else float(algo.ent_coef)
-        rates = algo.learning_rate, algo.critic_learning_rate
-        return RunSettings(rates[0], algo.gamma, algo.weight_decay, temperature, rates[1])
+        return RunSettings(algo.learning_rate, algo.gamma, algo.weight_decay, temperature)
 
     @property
     def is_finished(self) -> bool:

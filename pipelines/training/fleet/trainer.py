@@ -82,8 +82,6 @@ class FleetTrainer:
             config.actor.negative_slope,
             algo.tau,
             bool(config.actor.links),
-            layer_norm=algo.critic_norm == "layer",
-            actor_value=algo.actor_value,
             actor_delay=algo.actor_delay,
         )
         settings, generators = [run.settings for run in runs], [run.initial_generator() for run in runs]
@@ -158,8 +156,7 @@ class FleetTrainer:
         )
         temperature, config = float(tensors["log_temperature"]), self._config
         units = units_of_box(config.env, config.actor.rescale_inputs)
-        slope, layer_norm = self._config.actor.negative_slope, algo.critic_norm == "layer"
-        critics = Critics(layers, targets, algo.gamma, slope, temperature, layer_norm=layer_norm)
+        critics = Critics(layers, targets, algo.gamma, config.actor.negative_slope, temperature)
         if units is not None:
             critics = critics.fold_input_normalisation(units.middle, units.scale)
         if self._hardening(r) is not None:

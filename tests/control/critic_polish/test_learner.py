@@ -177,18 +177,6 @@ def test_learning_rates_fall_once_a_widened_network_is_as_narrow_as_before(monke
     np.testing.assert_allclose(shares, [*np.ones(240), *np.linspace(1.0, 0.1, 161)[:-1], *np.ones(400)])
 
 
-def test_normalised_critics_and_their_mean_reach_the_learner():
-    oracle, policy = network(otr.TanhBox(LOW, HIGH), (8,)), network(otr.TanhBox(LOW, HIGH))
-    mean = dataclasses.replace(SHORT, actor_value="mean")
-    kinds = [(new_critics(), SHORT), (new_critics(layer_norm=True), SHORT), (new_critics(), mean)]
-    shapes = [learning(policy, oracle, *kind)._filled().shapes for kind in kinds]
-    assert [(each.layer_norm, each.actor_value) for each in shapes] == [(False, "min"), (True, "min"), (False, "mean")]
-    plain, *others = (
-        list(learning(policy, oracle, *kind).candidates(3, print))[-1][1].predict(states()) for kind in kinds
-    )
-    assert not any(np.array_equal(plain, other) for other in others)
-
-
 def test_a_network_of_fewer_neurons_is_widened_and_loses_them_one_by_one(monkeypatch):
     narrow, seen, said = CriticPolish._narrow, [], []
     made = learning(network(otr.TanhBox(LOW, HIGH)), settings=dataclasses.replace(SHORT, first_neurons=8))

@@ -22,18 +22,15 @@ class Dense(nn.Sequential):
         return y
 
 
-def mlp(
-    layers: list[tuple[Tensor, Tensor]], slope: float, dense: bool = False, layer_norm: bool = False
-) -> nn.Sequential:
+def mlp(layers: list[tuple[Tensor, Tensor]], slope: float, dense: bool = False) -> nn.Sequential:
     """Return a (leaky) ReLU network with a copy of the given weights (w_in, w_out) and biases (1, w_out)."""
     modules: list[nn.Module] = []
     for weight, bias in layers:
         linear = nn.Linear(*weight.shape)
         linear.weight.data.copy_(weight.T)
         linear.bias.data.copy_(bias[0])
-        norm = [nn.LayerNorm(len(linear.weight), elementwise_affine=False)] if layer_norm else []
-        modules += [linear, *norm, nn.LeakyReLU(slope)]
-    return (Dense if dense else nn.Sequential)(*modules[: -2 if layer_norm else -1])
+        modules += [linear, nn.LeakyReLU(slope)]
+    return (Dense if dense else nn.Sequential)(*modules[:-1])
 
 
 def linears(network: nn.Module) -> list[nn.Linear]:
@@ -49,9 +46,7 @@ class AutogradSac:
         def network(name: str, row: int) -> nn.Sequential:
             n_layers = sum(key.startswith(f"{name}.weight") for key in tensors)
             layers = [(tensors[f"{name}.weight{i}"][row], tensors[f"{name}.bias{i}"][row]) for i in range(n_layers)]
-            is_actor = name == "actor"
-            dense, layer_norm = self.shapes.dense and is_actor, self.shapes.layer_norm and not is_actor
-            return mlp(layers, self.shapes.negative_slope, dense, layer_norm)
+            return mlp(layers, self.shapes.negative_slope, self.shapes.dense and name == "actor")
 
         self.actor = network("actor", 0)
         self.critics, self.targets = (
@@ -60,8 +55,7 @@ class AutogradSac:
         self.log_temperature = tensors["log_temperature"].clone().requires_grad_()
         self.gamma, self.learns_temperature = run.gamma, run.temperature is None
         rate, decay = run.learning_rate, run.weight_decay
-        critic_rate = run.critic_learning_rate or rate
-        self.of_critics = torch.optim.Adam(self.critics.parameters(), critic_rate, weight_decay=decay)
+        self.of_critics = torch.optim.Adam(self.critics.parameters(), rate, weight_decay=decay)
         self.of_actor = torch.optim.Adam(self.actor.parameters(), rate, weight_decay=decay)
         self.of_temperature = torch.optim.Adam([self.log_temperature], rate)
         self.n_updates, self.rate_share, self.highest_value = 0, 1.0, highest_value
@@ -90,8 +84,7 @@ class AutogradSac:
         self.step(self.of_critics, sum(0.5 * ((c(inputs)[:, 0] - goal) ** 2).mean() for c in self.critics))
         self.n_updates += 1
         if self.n_updates % self.shapes.actor_delay == 0:
-            both = self.values(self.critics, states, policy_actions)
-            values = both.mean(1) if self.shapes.actor_value == "mean" else both.amin(1)
+            values = self.values(self.critics, states, policy_actions).amin(1)
             self.step(self.of_actor, (temperature * log_probability - values).mean())
             if self.learns_temperature:
                 surplus = log_probability.detach() - actions.shape[1]

@@ -65,9 +65,16 @@ SETTINGS_OF = {
     for name in ("polishing", "certification", "simplification")
 }
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
-# Settings that finished runs may have and that no longer exist
-REMOVED = ("mp4", "trainer.environments", "trainer.precision", "algo.critic_learning_rate", "algo.critic_norm",
-           "algo.actor_value", "polishing.critic.actor_value")  # fmt: skip
+# Settings of finished runs that no longer exist, and the value that means what is done now; others are refused
+REMOVED = {
+    "mp4": False,
+    "trainer.environments": "gymnasium",
+    "trainer.precision": "fp32",
+    "algo.critic_norm": "none",
+    "algo.critic_learning_rate": None,
+    "algo.actor_value": "min",
+    "polishing.critic.actor_value": "min",
+}
 
 
 def _of_task(table: DictConfig, task: str, *names: str) -> Any:
@@ -90,9 +97,10 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
         cfg = DictConfig(OmegaConf.create(read_bytes(run_dir / CONFIG).decode()))
-        for name in REMOVED:
+        for name, value in REMOVED.items():
             parent, _, key = name.rpartition(".")
-            if isinstance(place := OmegaConf.select(cfg, parent) if parent else cfg, DictConfig):
+            place = OmegaConf.select(cfg, parent) if parent else cfg
+            if isinstance(place, DictConfig) and place.get(key) == value:
                 place.pop(key, None)
         if "vec_normalize" in cfg.method:  # as it was called before other statistics were taken
             cfg.method.normalise = cfg.method.pop("vec_normalize")

@@ -379,7 +379,8 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_ORACLES]
     if config.trainer.name == SHRINK:  # which a fleet's oracle is for
-        own = [*(override for override in own if key_of(override) != "trainer"), "trainer=fleet"]
+        own = [override for override in own if key_of(override) not in ("trainer", "train.steps")]
+        own += ["trainer=fleet", f"train.steps={config.train.steps}"]
     if config.imported is not None:
         files = [override for override in overrides if key_of(override) in OF_THE_FILE]
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]

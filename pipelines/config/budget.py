@@ -23,6 +23,8 @@ class BudgetConfig:
     n_rounds: CountOrZero = DaggerSettings.n_rounds
     n_round_episodes: Count = DaggerSettings.n_episodes
     n_choice_episodes: CountOrZero = DaggerSettings.n_choice_episodes
+    # The same for oracles that trainer=shrink is for, of tasks where they need fewer
+    shrink_steps: dict[str, Count] = field(default_factory=dict)
     # The same for soft trees, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at

@@ -39,8 +39,8 @@ ORACLE = "oracle"  # the method's name of the networks that others imitate; thei
 METHOD_NAMES[ORACLE] = "Oracle"
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 # fmt: off
-# Of tasks, budgets and trainers: those of the thesis's algorithms before searches
-ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-shrink", "standard-fleet", "standard-ars",
+# Of tasks, budgets and trainers: shrunk networks, the thesis's algorithms, searches
+ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard-shrink", "standard", "standard-fleet", "standard-ars",
          "quick", "quick-fleet", "quick-ars", "sb3")
 # fmt: on
 DECIMALS = 6  # of a CSV file's means and deviations: more would show how a platform adds up
@@ -101,14 +101,15 @@ def changes_but_oracle(runs: pd.DataFrame) -> "pd.Series[str]":
 def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the oracles of the runs in `table_runs`, in the same form: one a task, budget, trainer and seed.
 
-    Those of shrunk policies are a fleet's.
+    Those of shrunk policies are a fleet's. Of those of one budget that were trained for fewer steps than others, none.
     """
     own = reported(runs)
     own = own[(own["env"] == own["task"]) & (own["form"] == ORACLE)].assign(method=ORACLE, depth="")
     own = own.assign(
         budget=own["budget"].str.replace("-shrink", "-fleet"), trainer=own["trainer"].replace(SHRINK, "fleet")
     )
-    return own.drop_duplicates([*KEY, *SOURCE, "seed"])
+    most = own.groupby([*KEY, *SOURCE])["steps"].transform("max")
+    return own[own["steps"] == most].drop_duplicates([*KEY, *SOURCE, "seed"])
 
 
 def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:

@@ -110,11 +110,22 @@ def test_trainer_shrink_is_a_fleet_s_oracle_a_short_imitation_and_a_polish_by_cr
     (made,) = folder.glob("results/runs/pendulum/distilled_otr/depth-3/smoke-shrink/seed-0~*")
     assert read_json(made / "imitate/report.json")["n_rows"] == 5 * 200
     assert "/smoke-fleet/seed-0~" in read_json(made / "oracle/oracle.json")["folder"]
-    (job,) = RUN.jobs([["env=bipedalwalker", "method=distilled_experts", "trainer=shrink"]])
+    (job,) = RUN.jobs([["env=ant", "method=distilled_experts", "trainer=shrink"]])
     assert job.run_dir.parts[-2:] == ("standard-shrink", "seed-0") and job.config.algo.name == "sac"
     assert job.oracle.run_dir.parts[-3:] == ("depth-256-256", "standard-fleet", "seed-0")
     with pytest.raises(ConfigError, match="trainer=shrink makes a small policy out of a large one, which method=ndps"):
         RUN.jobs([["env=pendulum", "method=ndps", "trainer=shrink"]])
+
+
+def test_an_oracle_that_is_shrunk_has_a_budget_of_its_own_where_the_task_has_one():
+    shrink = ["env=bipedalwalker", "method=distilled_otr", "trainer=shrink", "depth=6"]
+    own, given, others = RUN.jobs(
+        [shrink, [*shrink, "train.steps=7"], [word.replace("shrink", "fleet") for word in shrink]]
+    )
+    steps = own.config.budget.shrink_steps["bipedalwalker"]
+    assert steps < own.config.budget.steps["bipedalwalker"] == others.oracle.config.train.steps
+    assert (own.config.changes, own.oracle.config.changes) == ("", f"train.steps={steps}")
+    assert given.config.changes == given.oracle.config.changes == "train.steps=7"
 
 
 def test_what_is_packed_without_critics_stays_done_and_its_oracle_is_trained_again_for_another_polish(shrunk, tmp_path):

@@ -140,10 +140,11 @@ def _polished(report: dict[str, Any]) -> str:
 
 
 def steps_in_words(summary: dict[str, Any]) -> str:
-    """Return the environment steps that a policy polished by critics has cost, its oracle's first."""
+    """Return the environment steps that a policy polished by critics has cost, its training's or its oracle's first."""
     imitation, polish = summary.get("imitate", {}).get("n_steps", 0), summary["polish"]
+    had = "of the oracle" if "imitate" in summary else "of the training"
     actor = polish["n_refill_steps"] + polish["n_learning_steps"]
-    parts = {"of the oracle": summary["steps"], "of the imitation": imitation, "of the actor": actor}
+    parts = {had: summary["steps"], "of the imitation": imitation, "of the actor": actor}
     return ", ".join(f"{number:,} {what}" for what, number in parts.items() if number)
 
 

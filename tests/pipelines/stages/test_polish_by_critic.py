@@ -117,6 +117,14 @@ def test_trainer_shrink_is_a_fleet_s_oracle_a_short_imitation_and_a_polish_by_cr
         RUN.jobs([["env=pendulum", "method=ndps", "trainer=shrink"]])
 
 
+def test_a_program_that_was_trained_soft_is_polished_by_its_own_critics(tmp_path):
+    printed = run(tmp_path, "env=pendulum", "method=pi_prl", "depth=2", "algo=sac", "trainer=fleet", "algo.critic=[16]",
+                  "polishing.by=critic")  # fmt: skip
+    assert "520 steps of the environment in all: 300 of the training, 220 of the actor" in " ".join(printed.split())
+    (made,) = tmp_path.glob("results/runs/pendulum/pi_prl/depth-2/smoke-fleet/seed-0~*")
+    assert [read_json(made / "polish/report.json")[name] for name in ("by", "numbers")] == ["critic", "tree"]
+
+
 def test_an_oracle_that_is_shrunk_has_a_budget_of_its_own_where_the_task_has_one():
     shrink = ["env=bipedalwalker", "method=distilled_otr", "trainer=shrink", "depth=6"]
     own, given, others = RUN.jobs(

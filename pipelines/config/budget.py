@@ -23,8 +23,6 @@ class BudgetConfig:
     n_rounds: CountOrZero = DaggerSettings.n_rounds
     n_round_episodes: Count = DaggerSettings.n_episodes
     n_choice_episodes: CountOrZero = DaggerSettings.n_choice_episodes
-    # The same for oracles that trainer=shrink is for, of tasks where they need fewer
-    shrink_steps: dict[str, Count] = field(default_factory=dict)
     # The same for soft trees, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
@@ -38,5 +36,7 @@ class BudgetConfig:
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes,
     # n_evaluation_episodes and polish_steps
     pid: dict[str, Count] = field(default_factory=dict)
+    # What trainer=shrink spends where a task needs another: steps of the oracle, n_rounds of imitation
+    shrink: dict[str, dict[str, Count]] = field(default_factory=dict)
     # What is spent on direct search in place of the above, per task: steps, eval_interval_steps, n_selection_episodes
     search: dict[str, dict[str, Count]] = field(default_factory=dict)

@@ -130,9 +130,10 @@ def test_an_oracle_that_is_shrunk_has_a_budget_of_its_own_where_the_task_has_one
     own, given, others = RUN.jobs(
         [shrink, [*shrink, "train.steps=7"], [word.replace("shrink", "fleet") for word in shrink]]
     )
-    steps = own.config.budget.shrink_steps["bipedalwalker"]
+    steps = own.config.budget.shrink["bipedalwalker"]["steps"]
     assert steps < own.config.budget.steps["bipedalwalker"] == others.oracle.config.train.steps
     assert (own.config.changes, own.oracle.config.changes) == ("", f"train.steps={steps}")
+    assert own.config.imitate.n_rounds == own.config.budget.shrink["bipedalwalker"]["n_rounds"] != 4
     assert given.config.changes == given.oracle.config.changes == "train.steps=7"
 
 

@@ -15,7 +15,7 @@ from pipelines.report.text import markdown_table
 HEAD = ["", "runs", "oracle", "imitating", "polished", "from nothing", "thesis", "steps", "minutes: oracle, then"]
 FROM_NOTHING = {"distilled_otr": "otr", "distilled_experts": "experts"}  # what makes such a policy without an oracle
 NAMES = {"otr": "OTR", "experts": "experts", "linear": "linear"}
-BY = ("standard-fleet", "standard-ars")  # what learns from nothing: SAC and, where it was not run, direct search
+BY = ("standard-fleet", "standard-ars", "standard")  # from nothing: SAC; where it was not run, direct search, then PPO
 POLICY = ["task", "method", "depth"]
 
 

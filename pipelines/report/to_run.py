@@ -25,6 +25,20 @@ class Wanted(NamedTuple):
     changes: str = ""
 
 
+def longer(task: str, steps: str) -> str:
+    """Return the settings of a search whose noise and steps fall further, and that plays more selection episodes."""
+    budget = f"budget.search.{task}"
+    return (
+        f"{budget}.steps={steps} {budget}.eval_interval_steps=500_000 {budget}.n_selection_episodes=50 "
+        "algo.noise_end=0.1 algo.step_size_end=0.05"
+    )
+
+
+CHANGED_BY_LONGER = (
+    "algo.noise_end=0.1, algo.step_size_end=0.05, train.eval_interval_steps=500000, train.n_selection_episodes=50, "
+    "train.steps="
+)
+
 # Of searches on fresh seeds, where settings were chosen on the others.
 WANTED = (
     Wanted("experts", EIGHT, ("distilled-experts-polished",), ("4", "8", "16"), "standard-shrink",
@@ -40,17 +54,14 @@ WANTED = (
     Wanted("imitators of SAC's oracles", ("hopper", "swimmer"), RIVALS[:3], ("6",), "standard-fleet",
            f"otr-run -m env={{tasks}} method=viper,lm_viper,ndps {FIVE} algo=sac trainer=fleet"),
     Wanted("longer searches of the walker", ("walker2d",), ("otr",), ("6", "32"), "standard-ars",
-           'otr-run -m env={tasks} method=otr depth=6,32 "seed=range(8,13)" budget.search.walker2d.steps=30_000_000 '
-           "budget.search.walker2d.eval_interval_steps=500_000 budget.search.walker2d.n_selection_episodes=50 "
-           "algo.noise_end=0.1 algo.step_size_end=0.05",
-           "algo.noise_end=0.1, algo.step_size_end=0.05, train.eval_interval_steps=500000, "
-           "train.n_selection_episodes=50, train.steps=30000000"),
+           f'otr-run -m env={{tasks}} method=otr depth=6,32 "seed=range(8,13)" {longer("walker2d", "30_000_000")}',
+           CHANGED_BY_LONGER + "30000000"),
     Wanted("longer searches of the hopper", ("hopper",), ("otr",), ("6", "32"), "standard-ars",
-           'otr-run -m env={tasks} depth=6,32 "seed=range(5,10)" train.steps=20_000_000 algo.noise_end=0.1 '
-           "algo.step_size_end=0.05",
-           "algo.noise_end=0.1, algo.step_size_end=0.05, train.steps=20000000"),
-    Wanted("searches of the swimmer whose noise falls to .005", ("swimmer",), ("otr",), ("6",), "standard-ars",
-           'otr-run -m env={tasks} depth=6 "seed=range(5,10)" algo.noise_end=0.05', "algo.noise_end=0.05"),
+           f'otr-run -m env={{tasks}} depth=6,32 "seed=range(6,11)" {longer("hopper", "20_000_000")}',
+           CHANGED_BY_LONGER + "20000000"),
+    Wanted("the same, linear", ("hopper",), ("linear",), ("0",), "standard-ars",
+           f'otr-run -m env={{tasks}} method=linear depth=0 "seed=range(6,11)" {longer("hopper", "20_000_000")}',
+           CHANGED_BY_LONGER + "20000000"),
     Wanted("all methods beyond the table", ("mountaincar", "lunarlander"), (*RIVALS, "augtree"), ("6",), "quick",
            f"otr-run -m env={{tasks}} method=viper,lm_viper,augtree,ndps,pi_prl {FIVE} budget=quick"),
 )  # fmt: skip

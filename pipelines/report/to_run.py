@@ -59,7 +59,7 @@ WANTED = (
     Wanted("longer searches of the hopper", ("hopper",), ("otr",), ("6", "32"), "standard-ars",
            f'otr-run -m env={{tasks}} depth=6,32 "seed=range(6,11)" {longer("hopper", "20_000_000")}',
            CHANGED_BY_LONGER + "20000000"),
-    Wanted("the same, linear", ("hopper",), ("linear",), ("0",), "standard-ars",
+    Wanted("longer linear searches of the hopper", ("hopper",), ("linear",), ("0",), "standard-ars",
            f'otr-run -m env={{tasks}} method=linear depth=0 "seed=range(6,11)" {longer("hopper", "20_000_000")}',
            CHANGED_BY_LONGER + "20000000"),
     Wanted("all methods beyond the table", ("mountaincar", "lunarlander"), (*RIVALS, "augtree"), ("6",), "quick",

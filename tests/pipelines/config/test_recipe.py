@@ -82,6 +82,7 @@ def test_who_names_another_algorithm_or_trainer_has_nothing_of_what_the_recipe_s
     assert spelt_out.folder == by_recipe.folder
     assert made("env=bipedalwalker", "algo=sac", "trainer=fleet").train.eval_interval_steps == 10_000
     soft_tree = made("env=bipedalwalker", "method=pi_prl")
+    assert soft_tree.method.beta_last == 50.0 and made("env=reacher", "method=pi_prl").method.beta_last == 500.0
     assert soft_tree.algo.normalise and soft_tree.folder == "runs/bipedalwalker/pi_prl/depth-6/standard/seed-0"
 
 

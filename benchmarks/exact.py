@@ -38,7 +38,7 @@ WIDE_BOX = {(452, 8, 4): 3, (784, 6, 4, 10): 10}  # and the seconds that they ma
 ROUNDED = {
     "reacher": "standard-fleet/seed-0",
     "walker2d": "standard-ars/seed-5",
-    "hopper": "standard-ars/seed-0",
+    "hopper": "standard-ars/seed-0~6a693ba4",
     "halfcheetah": "standard-fleet/seed-0",
     "ant": "standard-fleet/seed-0",
     "swimmer": "standard-ars/seed-0",

@@ -154,7 +154,7 @@ class RunWorkflow(Workflow):
     besides = "; besides, any registered id, as CartPole-v1 or my_module:Maze-v0"
     anything = "pendulum"
     short = SHORT
-    decisive = ("env.",)  # an environment without a file is made, to be asked
+    decisive = ("env.", "depth")  # an environment without a file is made, to be asked; a recipe may be of one depth
     naming = ("env", "method", "budget", "depth", "seed")
     harmless = not_keyed(RunConfig)
     do = staticmethod(run_job)

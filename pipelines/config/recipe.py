@@ -31,9 +31,9 @@ def recipe(given: Mapping[str, str], method: str | None = None) -> list[str]:
 
     `method` is in place of the given one: `default` is the recipe of a command that names none.
     """
-    env = given.get("env", "")
+    env, widths = given.get("env", ""), given.get("depth", "").strip("[] ")  # depth=[32] is depth=32
     by_env = recipes(given.get("budget") or _default_budget()).get(method or given.get("method", "otr"), {})
-    names = [f"{name}{depth}" for name in (env, env.rsplit("_v", 1)[0]) for depth in (f"/{given.get('depth')}", "")]
+    names = [f"{name}{depth}" for name in (env, env.rsplit("_v", 1)[0]) for depth in (f"/{widths}", "")]
     return next((by_env[name] for name in names if name in by_env), [])
 
 

@@ -97,7 +97,7 @@ def test_what_hydra_composes_stays_small(monkeypatch):
     monkeypatch.setattr(Composer, "_compose", lambda self, own: composed.append(own) or original(self, own))
     jobs = RUN.jobs(RUN.expand(["+experiment=table_4_1", "env=hopper,pendulum"], multirun=False))
     assert len(jobs) == 2 * 7 * 10
-    assert len(composed) == 2 * 7  # each environment with each method once, whatever the seed
+    assert len(composed) == 2 * 8  # each environment with each method and depth once, whatever the seed
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,14 @@ def test_a_searched_oracle_is_the_run_of_otr_32():
     assert job.oracle is not None and job.oracle.folder == made("env=hopper", "depth=32").folder
 
 
+def test_a_recipe_may_be_of_one_depth():
+    """The hopper's small policies are searched for longer than OTR (32), which imitators' oracles are."""
+    for overrides in (["depth=32"], ["depth=[32]"]):
+        assert made("env=hopper", *overrides).train.steps == 4_000_000
+    for overrides in (["depth=6"], [], ["method=linear"]):
+        assert made("env=hopper", *overrides).train.steps == 20_000_000
+
+
 def test_an_oracle_has_the_algorithm_of_the_recipe():
     """The biped's own algorithm is PPO, and its oracles' SAC in a fleet: spelt out or not."""
     for method in ("method=viper", "method=distilled_otr"):

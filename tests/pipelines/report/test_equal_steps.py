@@ -61,7 +61,7 @@ def test_the_committed_searches_are_read_on_their_way():
         ["task", "method", "depth", "trainer"]
     )
     found = []
-    for seed in range(5):
+    for seed in (6, 7, 8):
         rows = read_csv(RESULTS / f"runs/hopper/otr/depth-6/standard-ars/seed-{seed}/train/evaluations.csv")
         found.append(np.mean([float(row["return_mean"]) for row in rows if 8e5 < float(row["steps"]) <= 1e6]))
     assert cells.loc[("hopper", "otr", "6", "ars"), "mean"] == pytest.approx(np.mean(found), abs=1e-6)

@@ -27,7 +27,7 @@ RUNS = (
     "pendulum/linear/depth-0/quick/seed-0",
     "pendulum/pid/depth-1/quick/seed-0",
     "mountaincar/otr/depth-1/standard-ars/seed-0",
-    "hopper/otr/depth-6/standard-ars/seed-0",
+    "hopper/otr/depth-6/standard-ars/seed-6",
     "lunarlander/otr/depth-2/thesis/seed-0",
     "lunarlander/augtree/depth-10/quick/seed-0",
     "lunarlander/ndps/depth-10/quick/seed-0",

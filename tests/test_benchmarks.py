@@ -149,7 +149,7 @@ def test_turns_are_of_equal_steps_and_peers_of_equal_size(tmp_path):
     assert entry.value > 0 and entry.peer == "sb3-contrib's ARS" and entry.target == "ratio >= 2"
     config = search.search_config("hopper", "depth=0", "method=linear")
     for turn in (search.search_turn(config, 300), search.peer_turn(config, 300)):
-        assert 300 <= turn() < 2_000
+        assert 300 <= turn() < 3_000  # up to an iteration more, 16 short episodes
     config = training.run_config("hopper", 60, 30, 20)
     for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
         train_segment()
